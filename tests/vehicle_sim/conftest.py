@@ -16,28 +16,14 @@ name = "test"
 origin = { latitude_deg = 47.0, longitude_deg = 8.0 }
 scanner = { component_id = 100, range_m = 5000.0 }
 radars = [{ name = "radar 1", north_m = 5e3, east_m = 6e3, altitude_amsl_m = 0.0, range_m = 1e3 }]
-
-[terrain]
-combine = "maximum"
-ground_amsl_m = 100.0
-
-[[terrain.peaks]]
-north_m = 3000.0
-east_m = 4000.0
-height_amsl_m = 1200.0
-spread_north_m = 600.0
-spread_east_m = 800.0
+terrain.ground_amsl_m = 100.0
 
 [vehicle]
 kind = "copter"
 autopilot = "ideal"
-system_id = 1
-heading_deg = 45.0
-speed_max_m_s = 170.0
 acceleration_max_m_s2 = 10.0
 speed_vertical_max_m_s = 25.0
 acceleration_vertical_max_m_s2 = 5.0
-parameters = { GUID_TIMEOUT = 3.0 }
 """
 
 

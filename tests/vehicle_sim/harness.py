@@ -1,7 +1,7 @@
-"""The one harness: whole vehicles told by frames (`Link`), autopilots alone told by values (`Rig`).
+"""The one harness: a whole vehicle in this process, and a client at the other end of its links.
 
-Those that have booted or fly already are made once and handed out as copies.  Sockets and
-processes are in clients.py.
+A `Rig` is told by frames, read by frames, and looked at in truth.  Those that have booted or fly
+already are made once and handed out as copies.  Sockets and processes are in clients.py.
 """
 
 import cmath
@@ -10,25 +10,18 @@ import copyreg
 import functools
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Final, Self, TypeVar
 
-import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilot.core import Boot
-from vehicle_sim.autopilot.factory import PERSONALITIES
 from vehicle_sim.autopilot.px4plane import SIH_AIRPLANE
-from vehicle_sim.autopilot.values import Ack, Command, Reply, Sender, SendMessage, Setpoint, Text
-from vehicle_sim.dynamics.copter import Copter, Limits
-from vehicle_sim.dynamics.plane import Plane
-from vehicle_sim.faults import GpsConditions
+from vehicle_sim.dynamics.copter import Limits
 from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.parameters import Firmware, Parameter
-from vehicle_sim.plans import PlanItem, PlanKind, Plans
-from vehicle_sim.sensors.gps import Gps
+from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.simulation import Simulation
-from vehicle_sim.world import VehicleKind, parse_world
+from vehicle_sim.world import Vehicle, VehicleKind, parse_world
 
 copyreg.pickle(Parameter, lambda row: row.name)  # never changes: copies share it
 
@@ -39,19 +32,17 @@ ZERO: Vector = (0.0, 0.0, 0.0)
 NAN: Final = math.nan
 POSITION, POSITION_VELOCITY, ALL, VELOCITY = 0xDF8, 0xDC0, 0xC00, 0xDC7
 """Masks of setpoints."""
-AUTO, GUIDED, RTL, LAND, BRAKE = 3, 4, 6, 9, 17
-PLANE_AUTO, PLANE_RTL, PLANE_LOITER, PLANE_TAKEOFF, PLANE_GUIDED = 10, 11, 12, 13, 15
-OFFBOARD, TAKEOFF, HOLD, MISSION, RETURN, PX4_LAND = (6, 0), *((4, sub) for sub in (2, 3, 4, 5, 6))
-"""Modes: ArduCopter's, ArduPlane's, and main and sub mode of PX4's."""
-QUIET = (2, 4, 8, 29, 31, 33, 36, 74, 83, 85, 87, 105, 111, 132, 141, 147, 231, 241, 331, 360, 380)
-"""What PX4 streams and is rarely looked at."""
 COPTER_HOME, PLANE_HOME = (47.0, 8.0, 500.0), (-35.3632621, 149.1652370, 584.09)
 PLACE: Final = (47.397742, 8.545594, 488.0)
 """Where ArduCopter, ArduPlane and PX4 stand: latitude, longitude, metres AMSL."""
-_STEPS_PER_S = 100
+STEP_S: Final = 0.01
+_HOMES = {("ardupilot", "plane"): PLANE_HOME, ("px4", "copter"): PLACE, ("px4", "plane"): PLACE}
+_AS_RECORDED = {"COM_OBL_RC_ACT": 5.0, "SIH_KDV": 0.25}
+"""Parameters of PX4's recorded copters: a lost stream is Hold, and the drag."""
+_NOWHERE = 0x7FFFFFFF
+"""x or y of a COMMAND_INT that gives no place."""
 _WHERE = ("LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "ATTITUDE", "HEARTBEAT")
 _reader = mavlink.MAVLink(None)
-
 
 Made = TypeVar("Made")
 
@@ -72,8 +63,8 @@ def limits(speed: float, acceleration: float, vertical: float, up: float) -> Lim
     )
 
 
-GENTLE, STRONG = limits(50.0, 9.0, 5.0, 5.0), limits(40.0, 30.0, 10.0, 9.0)
-"""Airframes: one for sensors and weather, one for autopilots."""
+GENTLE = limits(50.0, 9.0, 5.0, 5.0)
+"""An airframe for sensors and weather."""
 
 
 def placed(place: tuple[float, ...], *, height: bool = True) -> dict[str, float]:
@@ -98,75 +89,103 @@ def item(
     return PlanItem(frame=frame, command=command, parameters=(p1, p2, p3, p4), x=x, y=y, z_m=z_m)
 
 
-# --- by frames ------------------------------------------------------------------------------------
-
-
-class Heard:
-    """One frame that came out of the vehicle's end of a link; read when its message is wanted."""
-
-    def __init__(self, at_s: float, link: int, frame: bytes) -> None:
-        self.at_s, self.link, self.frame = at_s, link, frame
-        """Vehicle time since the start."""
-        self.source: Ids = (frame[5], frame[6])
-        self.kind: str = mavlink.mavlink_map[int.from_bytes(frame[7:10], "little")].msgname
-
-    @functools.cached_property
-    def message(self) -> Any:
-        return _reader.decode(bytearray(self.frame))
-
-
-def local(
-    position: Vector | None = None, velocity: Vector | None = None, *, mask: int | None = None
+def setpoint(
+    position: Vector | None = None,
+    velocity: Vector | None = None,
+    acceleration: Vector | None = None,
+    yaw_rad: float | None = None,
+    *,
+    mask: int | None = None,
+    frame: int = 1,
+    is_global: bool = False,
 ) -> Any:
-    """SET_POSITION_TARGET_LOCAL_NED; what is None is masked, unless a mask is given."""
-    wanted = 0xDC0 | (0 if position else 0x7) | (0 if velocity else 0x38)
-    vectors = (*(position or ZERO), *(velocity or ZERO), *ZERO)
-    mask = wanted if mask is None else mask
-    return mavlink.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, mask, *vectors, 0, 0)
+    """SET_POSITION_TARGET_*; what is None is masked, unless a mask is given.
+
+    Position: north, east, down in metres; or latitude and longitude in degrees, and a height.
+    """
+    given = (0x007, position), (0x038, velocity), (0x1C0, acceleration), (0x400, yaw_rad)
+    masked = 0x800 | sum(bit for bit, what in given if what is None)
+    x, y, z = position or ZERO
+    made = mavlink.MAVLink_set_position_target_local_ned_message
+    if is_global:
+        x, y = round(x * 1e7), round(y * 1e7)
+        made = mavlink.MAVLink_set_position_target_global_int_message
+    vectors = (x, y, z, *(velocity or ZERO), *(acceleration or ZERO))
+    return made(0, *VEHICLE, frame, masked if mask is None else mask, *vectors, yaw_rad or 0.0, 0)
 
 
 def heartbeat(kind: int = mavlink.MAV_TYPE_ONBOARD_CONTROLLER) -> Any:
     return mavlink.MAVLink_heartbeat_message(kind, 8, 0, 0, 4, 3)
 
 
-class Link:
-    """A vehicle of any kind, and a client at the other end of its links.
+class Heard:
+    """One frame that came out of the vehicle's end of a link; read when its message is wanted."""
 
-    ``aim`` makes the setpoint of a time in seconds, and is streamed at 20 Hz unless it is None;
-    ``heartbeats`` are the MAV_TYPEs of which one is sent each second.
+    def __init__(self, at_s: float, frame: bytes, link: int = 0) -> None:
+        self.at_s, self.link, self.frame = at_s, link, frame
+        """Vehicle time since the start."""
+        self.source: Ids = (frame[5], frame[6])
+        self.number = int.from_bytes(frame[7:10], "little")
+
+    @property
+    def kind(self) -> str:
+        return str(mavlink.mavlink_map[self.number].msgname)
+
+    @functools.cached_property
+    def message(self) -> Any:
+        return _reader.decode(bytearray(self.frame))
+
+
+def world(
+    autopilot: str = "ideal",
+    kind: VehicleKind = "copter",
+    place: Vector = COPTER_HOME,
+    *,
+    peaks: Sequence[Any] = (),
+    **told: Any,
+) -> dict[str, Any]:
+    """A world file's table: a plain, and on it this vehicle.
+
+    What is named in capitals is a parameter of its autopilot, what a vehicle of a world file has is
+    its own, and the rest are tables of that file.
     """
+    vehicle: dict[str, Any] = {"kind": kind, "autopilot": autopilot}
+    vehicle |= {name: told.pop(name) for name in Vehicle.model_fields if name in told}
+    vehicle["parameters"] = {name: told.pop(name) for name in [*told] if name.isupper()}
+    table = {
+        "schema": 1,
+        "name": "flat",
+        "origin": placed(place, height=False),
+        "terrain": {"combine": "maximum", "ground_amsl_m": place[2], "peaks": list(peaks)},
+        "vehicle": vehicle,
+    }
+    return table | told
+
+
+class Rig:
+    """A vehicle of any kind over a plain, and a client at the other end of its links."""
 
     def __init__(
         self,
-        kind: VehicleKind,
-        autopilot: str,
-        place: Vector,
+        autopilot: str = "ardupilot",
+        kind: VehicleKind = "copter",
+        place: Vector | None = None,
         *,
         links: int = 1,
         faults: str = "",
         seed: int = 0,
-        peaks: Sequence[Mapping[str, float]] = (),
-        parameters: Mapping[str, float] | None = None,
-        north_m: float = 0.0,
-        heading_deg: float = 0.0,
-        **tables: Any,
+        **told: Any,
     ) -> None:
-        vehicle = {"kind": kind, "autopilot": autopilot, "parameters": dict(parameters or {})}
-        table = {
-            "schema": 1,
-            "name": "flat",
-            "origin": {"latitude_deg": place[0], "longitude_deg": place[1]},
-            "terrain": {"combine": "maximum", "ground_amsl_m": place[2], "peaks": list(peaks)},
-            "vehicle": vehicle | {"north_m": north_m, "heading_deg": heading_deg},
-        }
-        world = parse_world(table | tables)
-        self.simulation = Simulation(world, links=links, faults=faults, seed=seed)
+        self.home = place or _HOMES.get((autopilot, kind), COPTER_HOME)
+        table = world(autopilot, kind, self.home, **told)
+        self.simulation = Simulation(parse_world(table), links=links, faults=faults, seed=seed)
         self.kind, self.firmware, self.source = kind, autopilot, COMPANION
         self.heard: list[Heard] = []
-        self.aim: Callable[[float], Any] | None = None
-        self.heartbeats: tuple[int, ...] = ()
-        self._steps, self._ground_m = 0, place[2]
-        self._sequence: dict[Ids, int] = {}
+        self.streamed: Any = None
+        """A message that is sent at 20 Hz."""
+        self.beat: Any = None
+        """One that is sent each second."""
+        self._steps, self._sequence = 0, dict[Ids, int]()
 
     def copy(self) -> Self:
         """The same again from here; of what was heard it knows only where it is."""
@@ -189,39 +208,74 @@ class Link:
         self.put(data, link=link)
 
     def put(self, data: bytes, link: int = 0) -> None:
-        """Raw bytes; what is answered at once is heard after the next step."""
+        """Raw bytes; what is answered at once is heard at once."""
         self.simulation.receive(link, data)
+        self._hear()
+
+    def ask(self, message: Any, *, source: Ids | None = None, link: int = 0) -> list[Any]:
+        """What the vehicle itself says on this link within 20 ms of being told this."""
+        begun = len(self.heard)
+        self.send(message, source=source, link=link)
+        self.run(0.02)
+        return [each.message for each in self.heard[begun:] if each.link == link]
 
     def command(
-        self, number: int, *parameters: float, frame: int | None = None, link: int = 0
+        self, number: int, *p: float, frame: int | None = None, link: int = 0
     ) -> int | None:
-        """COMMAND_LONG, or COMMAND_INT in this frame; its last result within 20 ms (PX4: 50)."""
+        """COMMAND_LONG, or COMMAND_INT in this frame with x and y in degrees; its result, at once.
+
+        None: there is no answer.
+        """
+        begun, (*four, x, y, z) = len(self.heard), (*p, *(0.0,) * (7 - len(p)))
         if frame is None:
-            self.order(number, *parameters, link=link)
+            order = mavlink.MAVLink_command_long_message(*VEHICLE, number, 0, *four, x, y, z)
         else:
-            head, (*p, x, y, z) = (*VEHICLE, frame, number, 0, 0), parameters
-            place = (round(x), round(y), z)
-            self.send(mavlink.MAVLink_command_int_message(*head, *p, *place), link=link)
-        heard = self.run(0.05 if self.firmware == "px4" else 0.02)
-        answers = [e.message for e in heard if (e.kind, e.source) == ("COMMAND_ACK", VEHICLE)]
-        assert all((a.target_system, a.target_component) == self.source for a in answers)
-        found = [int(answer.result) for answer in answers if answer.command == number]
-        return found[-1] if found else None
+            place = (_NOWHERE if math.isnan(angle) else round(angle * 1e7) for angle in (x, y))
+            head = (*VEHICLE, frame, number, 0, 0)
+            order = mavlink.MAVLink_command_int_message(*head, *four, *place, z)
+        self.send(order, link=link)
+        return self._result(number, begun)
 
-    def order(self, number: int, *values: float, link: int = 0) -> None:
-        """COMMAND_LONG, not waited for."""
-        padded = [*values, *[0.0] * (7 - len(values))]
-        self.send(mavlink.MAVLink_command_long_message(*VEHICLE, number, 0, *padded), link=link)
+    def _result(self, number: int, begun: int) -> int | None:
+        """Of the newest acknowledgement since then."""
+        heard = (e for e in self.heard[begun:] if (e.kind, e.source) == ("COMMAND_ACK", VEHICLE))
+        acks = [each.message for each in heard]
+        assert all((ack.target_system, ack.target_component) == self.source for ack in acks)
+        results = [int(ack.result) for ack in acks if ack.command == number]
+        return results[-1] if results else None
 
-    def go(
-        self, north_m_s: float, down_m_s: float, east_m_s: float = 0.0, at_m: Vector | None = None
-    ) -> None:
-        self.send(local(at_m, (north_m_s, east_m_s, down_m_s)))
+    def set_mode(self, mode: str | int) -> int | None:
+        """The result of DO_SET_MODE; PX4's second answer, as the first is always yes."""
+        numbers = {each.name: each.number for each in self.autopilot.firmware.modes}
+        number, begun = numbers[mode] if isinstance(mode, str) else mode, len(self.heard)
+        if self.firmware != "px4":
+            return self.command(176, 1, number)
+        assert self.command(176, 1, number >> 16 & 0xFF, number >> 24) == 0
+        self.step()
+        return self._result(176, begun)
 
-    def set_mode(self, custom: int) -> int | None:
-        if self.firmware == "px4":
-            return self.command(176, 1, custom >> 16 & 0xFF, custom >> 24)
-        return self.command(176, 1, custom)
+    def arm(self) -> int | None:
+        return self.command(400, 1)
+
+    def aim(self, *vectors: Any, **fields: Any) -> None:
+        """A setpoint, once."""
+        self.send(setpoint(*vectors, **fields))
+
+    def reposition(
+        self, north_m: float, east_m: float, up_m: float, radius_m: float = 0.0, ccw: float = 0.0
+    ) -> int | None:
+        """DO_REPOSITION to a place from home."""
+        *place, _ = self.place(north_m, east_m, up_m)
+        is_px4 = self.firmware == "px4"
+        frame, z_m, p4 = (5, self.home[2] + up_m, NAN) if is_px4 else (3, up_m, ccw)
+        return self.command(192, -1, 1, radius_m, p4, *place, z_m, frame=frame)
+
+    def fault(self, line: str) -> None:
+        self.simulation.add_fault(line)
+
+    def plan(self, kind: PlanKind, *items: PlanItem) -> None:
+        self.simulation.plans[kind] = items
+        self.autopilot.on_plan(kind)
 
     # --- time ---------------------------------------------------------------------------------
 
@@ -233,34 +287,84 @@ class Link:
     def step(self) -> bool:
         """10 ms, and before them what is due to be sent; whether a lockstep tick is complete."""
         steps, self._steps = self._steps, self._steps + 1
-        if self.aim is not None and steps % 5 == 0:
-            self.send(self.aim(self.now_s))
-        if steps % _STEPS_PER_S == 0:
-            for kind in self.heartbeats:
-                self.send(heartbeat(kind))
-        complete, now_s = self.simulation.step(), self.now_s
-        self.heard += [Heard(now_s, link, frame) for link, frame in self.simulation.take_frames()]
+        if self.streamed is not None and steps % 5 == 0:
+            self.send(self.streamed)
+        if self.beat is not None and steps % 100 == 0:
+            self.send(self.beat)
+        complete = self.simulation.step()
+        self._hear()
         return complete
 
-    def run(self, seconds: float, meanwhile: Callable[[], object] | None = None) -> list[Heard]:
-        """What comes while time passes; meanwhile: what to do ten times a second."""
-        begun = len(self.heard)
-        for k in range(round(seconds * _STEPS_PER_S)):
-            if meanwhile is not None and k % 10 == 0:
-                meanwhile()
-            self.step()
-        return self.heard[begun:]
+    def _hear(self) -> None:
+        now_s = self.now_s
+        self.heard += [Heard(now_s, frame, link) for link, frame in self.simulation.take_frames()]
 
-    def until(self, reached: Callable[[], bool], within_s: float, *aim: float) -> float:
-        """Seconds until it is so, with a velocity sent five times a second if one is given."""
-        begun_s, steps = self.now_s, 0
+    def run(self, seconds: float, each: Callable[[], object] | None = None) -> Self:
+        """Fly on, with something to do before each step."""
+        for _ in range(round(seconds / STEP_S)):
+            if each is not None:
+                each()
+            self.step()
+        return self
+
+    def until(self, reached: Callable[[], bool], within_s: float = 300.0) -> float:
+        """Fly until this is so; returns how long it took, in seconds."""
+        begun_s = self.now_s
         while not reached():
             assert self.now_s - begun_s < within_s, self.simulation.outcome()
-            if aim and steps % 20 == 0:
-                self.go(*aim)
             self.step()
-            steps += 1
         return self.now_s - begun_s
+
+    def stream(self, seconds: float, *vectors: Any, rate_hz: float = 20.0, **fields: Any) -> Self:
+        """The same setpoint again and again."""
+        every, told = round(1.0 / rate_hz / STEP_S), setpoint(*vectors, **fields)
+        for index in range(round(seconds / STEP_S)):
+            if index % every == 0:
+                self.send(told)
+            self.step()
+        return self
+
+    def armable(self) -> Self:
+        """Boot until it may be armed."""
+        self.until(lambda: self.simulation.armable, 60.0)
+        return self
+
+    def climb(self, height_m: float) -> Self:
+        """Boot and into the air: a plane flies straight on then, PX4's copter is in OFFBOARD."""
+        self.armable()
+        if self.firmware == "px4" and self.kind == "copter":
+            self.streamed = setpoint(None, (0.0, 0.0, -2.0))
+            self.run(1.0).set_mode("Offboard")
+        elif self.firmware == "px4":
+            height_amsl_m = self.home[2] + height_m
+            self.command(22, 0, 0, 0, *[NAN] * 3, height_amsl_m, frame=5)  # for good straight on
+        else:
+            self.set_mode("TAKEOFF" if self.kind == "plane" else "GUIDED")
+        assert self.arm() == 0
+        if self.firmware != "px4" and self.kind == "copter":
+            assert self.command(22, *[0.0] * 6, height_m) == 0
+        self.until(lambda: self.height_m > height_m - 0.5, 60.0)
+        self.streamed = None
+        if (self.firmware, self.kind) == ("ardupilot", "plane"):
+            self.set_mode("CRUISE")
+        return self
+
+    def take_off(self, height_m: float = 30.0) -> Self:
+        """Into the air and into the mode that takes setpoints: copters above home, ArduPlane on its
+        way to a circle about it at 80 m, PX4's plane in Hold.
+        """
+        self.climb(height_m)
+        for number in {*self.autopilot.firmware.rates_hz} - {0}:
+            self.command(511, number, -1)  # what is streamed unasked is rarely looked at
+        if self.firmware == "px4":
+            if self.kind == "copter":
+                return self.stream(5.0, (0.0, 0.0, -height_m))
+            self.set_mode("Hold")
+        elif self.kind == "plane":
+            assert self.reposition(0.0, 0.0, 80.0) == 0
+        else:
+            self.until(lambda: self.status.landed_state == 2, 30.0)
+        return self.run(3.0)
 
     # --- out ----------------------------------------------------------------------------------
 
@@ -279,131 +383,34 @@ class Link:
                 return each.message
         raise AssertionError(f"no {kind} has come")
 
-    @property
-    def above_m(self) -> float:
-        """Above the ground at the start, truly."""
-        return self.simulation.vehicle.altitude_amsl_m - self._ground_m
-
-    def truth(self) -> Sequence[dict[str, Any]]:
-        return [json.loads(line) for line in self.simulation.take_truth()][1:]
-
     def texts(self, since_s: float = 0.0, *, link: int = 0) -> list[str]:
-        return [e.message.text for e in self.all("STATUSTEXT", since_s=since_s, link=link)]
+        told = list[str]()
+        for each in self.all("STATUSTEXT", since_s=since_s, link=link):
+            if each.message.chunk_seq:
+                told[-1] += each.message.text
+            else:
+                told.append(each.message.text)
+        return told
 
+    def when(self, text: str) -> list[float]:
+        """The times at which this was said."""
+        return [each.at_s for each in self.all("STATUSTEXT") if each.message.text == text]
 
-def scanner(range_m: float) -> dict[str, float]:
-    """A terrain radar, as a world file has it."""
-    return {"component_id": 100, "range_m": range_m}
-
-
-# --- some that boot, may be armed, fly ------------------------------------------------------------
-
-KINDS: Final[tuple[tuple[Firmware, VehicleKind], ...]] = (
-    *(("ardupilot", "copter"), ("ardupilot", "plane")),
-    *(("px4", "copter"), ("px4", "plane")),
-)
-GROUND_M = 400.0
-
-
-def armable(
-    kind: Any, autopilot: str, place: Vector = (47.0, 8.0, GROUND_M), **fields: Any
-) -> Link:
-    """One that may be armed."""
-    vehicle = Link(kind, autopilot, place, **fields)
-    vehicle.until(lambda: vehicle.simulation.armable, 60.0)
-    return vehicle
-
-
-def into_the_air(vehicle: Link, height_m: float) -> None:
-    """Up; planes fly straight on then, and PX4's copter is in OFFBOARD."""
-    aim: tuple[float, ...] = ()
-    orders: Sequence[tuple[float, ...]]
-    match vehicle.firmware, vehicle.kind:
-        case "px4", "plane":
-            orders = ((22, 0, 0, 0, *[NAN] * 4), (400, 1))  # for good straight on
-        case "px4", _:
-            vehicle.until(lambda: vehicle.simulation.now_us % 1_000_000 == 0, 1.1, 0.0, 0.0)
-            orders, aim = ((176, 1, *OFFBOARD), (400, 1)), (0.0, -2.0)
-        case _, "plane":
-            orders = ((176, 1, PLANE_TAKEOFF), (400, 1))
-        case _:
-            orders = ((176, 1, GUIDED), (400, 1), (22, *[0.0] * 6, height_m))
-    for number, *values in orders:
-        vehicle.order(int(number), *values)
-    vehicle.until(lambda: vehicle.above_m > height_m - 0.5, 60.0, *aim)
-    if vehicle.kind == "plane" and vehicle.firmware != "px4":
-        vehicle.order(176, 1, 7)  # CRUISE
-
-
-@copied
-def ready(firmware: Firmware, kind: VehicleKind) -> Link:
-    """One that may be armed, with a ground station on link 0."""
-    vehicle = armable(kind, firmware, PLACE)
-    vehicle.source, vehicle.heartbeats = GCS, (mavlink.MAV_TYPE_GCS,)
-    vehicle.run(1.0)
-    for number in QUIET if firmware == "px4" else ():
-        vehicle.command(511, number, -1)
-    for number in (24, 33, 30):
-        vehicle.command(511, number, 100_000)
-    return vehicle
-
-
-@copied
-def flying(firmware: Firmware, kind: VehicleKind) -> Link:
-    """Some 40 m up, in the mode in which it takes setpoints (PX4: Hold)."""
-    vehicle = ready(firmware, kind)
-    if firmware == "px4":
-        place = (round(PLACE[0] * 1e7), round(PLACE[1] * 1e7), PLACE[2] + 40.0)
-        assert vehicle.command(22, 0, 0, 0, 0, *place, frame=5) == vehicle.command(400, 1) == 0
-        vehicle.run(30.0)
-        return vehicle
-    into_the_air(vehicle, 40.0)
-    assert kind == "copter" or vehicle.set_mode(PLANE_GUIDED) == 0
-    vehicle.run(5.0)
-    return vehicle
-
-
-# --- by values ------------------------------------------------------------------------------------
-
-STEP_US, STEP_S = 10_000, 0.01
-_ASKER = Sender(system=1, component=191)
-PX4_GPS: Final = GpsConditions(lag_s=0.0)
-
-
-class Rig:
-    """An autopilot of any kind over level ground; a vehicle's own adds how it gets into the air."""
-
-    def __init__(
-        self,
-        autopilot: str,
-        kind: VehicleKind,
-        vehicle: Any,
-        parameters: Mapping[str, float],
-        *,
-        seed: int = 1,
-        gps_seed: int = 1,
-        conditions: GpsConditions = GpsConditions(),  # noqa: B008
-    ) -> None:
-        self.vehicle, self.plans = vehicle, Plans()
-        self.ground_amsl_m, self.now_us = vehicle.altitude_amsl_m, 0
-        its, rng = PERSONALITIES[autopilot, kind], np.random.default_rng(seed)
-        self.autopilot: Any = its.make(Boot(its.firmware, vehicle, parameters, self.plans, rng))
-        self.gps = Gps(its.receiver, np.random.default_rng(gps_seed))
-        self.gps_conditions = conditions
-        self.said: list[tuple[float, Reply]] = []
-        """With the time in seconds."""
-
-    def copy(self) -> Self:
-        return copy.deepcopy(self)
+    # --- to look at ---------------------------------------------------------------------------
 
     @property
-    def now_s(self) -> float:
-        return self.now_us * 1e-6
+    def autopilot(self) -> Any:
+        return self.simulation._controller.autopilot
+
+    @property
+    def vehicle(self) -> Any:
+        """Where it is, truly."""
+        return self.simulation.vehicle
 
     @property
     def height_m(self) -> float:
-        """Above the ground, truly."""
-        return float(self.vehicle.altitude_amsl_m - self.ground_amsl_m)
+        """Above the ground at the start, truly."""
+        return float(self.vehicle.altitude_amsl_m - self.home[2])
 
     @property
     def speed_m_s(self) -> float:
@@ -420,242 +427,71 @@ class Rig:
         """The same without the height."""
         return self.ned_m[:2]
 
+    def place(self, north_m: float, east_m: float, up_m: float) -> Vector:
+        """Latitude, longitude and altitude AMSL of a point of that frame."""
+        there = self.autopilot.frame.place(north_m, east_m, 0.0)
+        return there.latitude_deg, there.longitude_deg, self.home[2] + up_m
+
     @property
     def mode(self) -> str:
-        return str(self.autopilot.mode.name)
+        return self.simulation.mode_name
 
     @property
     def armed(self) -> bool:
-        return bool(self.autopilot.armed)
+        return self.simulation.armed
 
     @property
     def landed(self) -> bool:
-        return bool(self.autopilot.landed)
+        return self.simulation.landed
 
     @property
     def status(self) -> Any:
         return self.autopilot.status()
 
-    @property
-    def texts(self) -> list[str]:
-        return [reply.text for _, reply in self.said if isinstance(reply, Text)]
-
-    def when(self, text: str) -> list[float]:
-        """The times at which this was said."""
-        return [at for at, reply in self.said if isinstance(reply, Text) and reply.text == text]
-
-    def reached(self) -> list[tuple[float, int]]:
-        """When MISSION_ITEM_REACHED was said, and of which item."""
-        told = ((at, reply) for at, reply in self.said if isinstance(reply, SendMessage))
-        return [(at, reply.message.seq) for at, reply in told]
-
-    # --- time ---------------------------------------------------------------------------------
-
-    def take(self, replies: Sequence[Reply]) -> Sequence[Reply]:
-        self.said.extend((self.now_s, reply) for reply in replies)
-        return replies
-
-    def step(self) -> None:
-        self.now_us += STEP_US
-        fix = self.gps.step(self.now_us, self.vehicle, self.gps_conditions)
-        self.take(self.autopilot.step(self.now_us, STEP_S, self.ground_amsl_m, fix))
-
-    def run(self, seconds: float, each: Callable[[], object] | None = None) -> Self:
-        """Fly on, with something to do before each step."""
-        for _ in range(round(seconds / STEP_S)):
-            if each is not None:
-                each()
-            self.step()
-        return self
-
-    def until(self, reached: Callable[[], bool], within_s: float = 300.0) -> float:
-        """Fly until this is so; returns how long it took, in seconds."""
-        start_us = self.now_us
-        while not reached():
-            assert self.now_us - start_us < within_s * 1e6, "it never came to that"
-            self.step()
-        return (self.now_us - start_us) * 1e-6
-
-    # --- orders -------------------------------------------------------------------------------
-
-    def command(
-        self, number: int, *p: float, frame: int | None = None, target_component: int = 1
-    ) -> int:
-        """What it is answered at once."""
-        parameters: Any = (*p, *(0.0,) * (7 - len(p)))
-        command = Command(_ASKER, target_component, number, parameters, frame)
-        acks = [r for r in self.take(self.autopilot.on_command(command)) if isinstance(r, Ack)]
-        assert [(ack.to, ack.command) for ack in acks] == [(_ASKER, number)]
-        return acks[0].result
-
-    def set_mode(self, *mode: float) -> int:
-        """The result of DO_SET_MODE; PX4's second answer, as the first is always yes."""
-        result = self.command(176, 1.0, *mode)
-        if self.autopilot.firmware.family == "px4":
-            assert result == 0
-            self.step()
-            result = [r.result for _, r in self.said if isinstance(r, Ack)][-1]
-        return result
-
-    def aim(
-        self,
-        position: Vector | None = None,
-        velocity: Vector | None = None,
-        acceleration: Vector | None = None,
-        yaw_rad: float | None = None,
-        *,
-        mask: int | None = None,
-        frame: int = 1,
-        is_global: bool = False,
-    ) -> None:
-        """A setpoint; what is None is masked, unless a mask is given."""
-        given = zip(
-            (0x007, 0x038, 0x1C0, 0x400), (position, velocity, acceleration, yaw_rad), strict=True
-        )
-        masked = 0x800 | sum(bit for bit, what in given if what is None)
-        setpoint = Setpoint(
-            is_global=is_global,
-            frame=frame,
-            type_mask=masked if mask is None else mask,
-            position=position or ZERO,
-            velocity_ned_m_s=velocity or ZERO,
-            acceleration_ned_m_s2=acceleration or ZERO,
-            yaw_rad=yaw_rad or 0.0,
-        )
-        self.take(self.autopilot.on_setpoint(setpoint))
-
-    def stream(self, seconds: float, *vectors: Any, rate_hz: float = 20.0, **fields: Any) -> Self:
-        """The same setpoint again and again."""
-        every = round(1.0 / rate_hz / STEP_S)
-        for index in range(round(seconds / STEP_S)):
-            if index % every == 0:
-                self.aim(*vectors, **fields)
-            self.step()
-        return self
-
-    def plan(self, kind: PlanKind, *items: PlanItem) -> None:
-        self.plans[kind] = items
-        self.autopilot.on_plan(kind)
+    def truth(self) -> Sequence[dict[str, Any]]:
+        return [json.loads(line) for line in self.simulation.take_truth()][1:]
 
 
-class ArduCopter(Rig):
-    """An ArduCopter, or the law `ideal`, which is without drag."""
+# --- some that fly --------------------------------------------------------------------------------
 
-    def __init__(
-        self,
-        *,
-        ground_amsl_m: float = COPTER_HOME[2],
-        airframe: Limits = limits(60.0, 30.0, 10.0, 8.0),  # noqa: B008
-        drag: bool = True,
-        **parameters: float,
-    ) -> None:
-        # of the recorded airframe: 10.05 m/s at 28.7 degrees of tilt, 15.4 m/s at 45
-        drags = {"drag_1_s": 0.340, "drag_1_m": 0.0193} if drag else {}
-        place = placed((*COPTER_HOME[:2], ground_amsl_m))
-        copter = Copter(**place, limits=airframe, **drags)
-        super().__init__("ardupilot" if drag else "ideal", "copter", copter, parameters)
-
-    def take_off(self, height_m: float) -> int:
-        return self.command(22, 0, 0, 0, 0, 0, 0, height_m)
-
-    def airborne(self, height_m: float = 30.0) -> "ArduCopter":
-        """Boot, take off in GUIDED and hover."""
-        self.run(42.5)
-        assert [self.set_mode(GUIDED), self.command(400, 1), self.take_off(height_m)] == [0, 0, 0]
-        self.until(lambda: self.status.landed_state == 2, within_s=1000.0)
-        return self.run(3.0)
+KINDS: Final[tuple[tuple[Firmware, VehicleKind], ...]] = (
+    *(("ardupilot", "copter"), ("ardupilot", "plane")),
+    *(("px4", "copter"), ("px4", "plane")),
+)
 
 
 @copied
-def hovering(lean_deg: float = 45.0, height_m: float = 30.0, **parameters: float) -> ArduCopter:
+def flying(firmware: str, kind: VehicleKind, height_m: float = 40.0, **told: Any) -> Rig:
+    """In the mode that takes setpoints, with a ground station on link 0."""
+    vehicle = Rig(firmware, kind, **told)
+    vehicle.source, vehicle.beat = GCS, heartbeat(mavlink.MAV_TYPE_GCS)
+    vehicle.take_off(height_m)
+    for number in (24, 33, 30):
+        vehicle.command(511, number, 100_000)
+    return vehicle.run(1.0)
+
+
+@copied
+def hovering(height_m: float = 30.0, lean_deg: float = 45.0, **told: Any) -> Rig:
     """An ArduCopter in GUIDED above home."""
-    return ArduCopter(ANGLE_MAX=lean_deg * 100.0, **parameters).airborne(height_m)
-
-
-class ArduPlane(Rig):
-    """An ArduPlane over flat ground at home."""
-
-    def __init__(self, **parameters: float) -> None:
-        self.frame = LocalFrame(**placed(PLANE_HOME, height=False))
-        super().__init__("ardupilot", "plane", Plane(**placed(PLANE_HOME)), parameters)
-
-    @property
-    def ne_m(self) -> tuple[float, float]:
-        """Where it is, truly."""
-        return self.frame.to_local(self.vehicle.latitude_deg, self.vehicle.longitude_deg)
-
-    def reposition(
-        self, north_m: float, east_m: float, up_m: float, radius_m: float = 0.0, ccw: float = 0.0
-    ) -> int:
-        place = (*self.frame.to_geographic(north_m, east_m), up_m)
-        return self.command(192, -1.0, 1.0, radius_m, ccw, *place, frame=3)
-
-    def take_off(self) -> Self:
-        """By TAKEOFF, then GUIDED, on the way to 80 m above home."""
-        self.run(24.0)
-        assert [self.set_mode(PLANE_TAKEOFF), self.command(400, 1.0)] == [0, 0]
-        self.until(lambda: self.height_m > 48.0)
-        assert self.reposition(0.0, 0.0, 80.0) == 0
-        return self
+    return Rig(ANGLE_MAX=lean_deg * 100.0, **told).take_off(height_m)
 
 
 @copied
-def circling(settle_s: float = 30.0, **parameters: float) -> ArduPlane:
-    return ArduPlane(**parameters).take_off().run(settle_s)
-
-
-class Px4Rig(Rig):
-    """A PX4 vehicle in still air; COM_OBL_RC_ACT 5 is Hold."""
-
-    def __init__(self, kind: VehicleKind, vehicle: Any, seed: int, **parameters: float) -> None:
-        given, gps_seed = {"COM_OBL_RC_ACT": 5.0, **parameters}, seed + 1000
-        told: Any = {"seed": seed, "gps_seed": gps_seed, "conditions": PX4_GPS}
-        super().__init__("px4", kind, vehicle, given, **told)
-
-    @property
-    def ned_m(self) -> Vector:
-        """Where it last believed to be."""
-        north_m, east_m, down_m = self.autopilot.local_m
-        return north_m, east_m, down_m
-
-    def place(self, north_m: float, east_m: float, height_m: float) -> Vector:
-        """Latitude, longitude and altitude AMSL of a point of the local frame."""
-        place = self.autopilot.frame.place(north_m, east_m, 0.0)
-        return place.latitude_deg, place.longitude_deg, PLACE[2] + height_m
-
-
-class Px4Copter(Px4Rig):
-    def __init__(self, seed: int = 1, **parameters: float) -> None:
-        copter = Copter(**placed(PLACE), limits=STRONG)
-        super().__init__("copter", copter, seed, **{"SIH_KDV": 0.25} | parameters)
-
-    def take_off(self, height_m: float = 20.0, seconds: float = 16.0) -> Self:
-        """Boot, OFFBOARD, arm, climb above the origin."""
-        up = (0.0, 0.0, -height_m)
-        self.run(5.0).stream(2.5, up)
-        self.command(176, 1.0, *OFFBOARD)
-        self.stream(0.2, up)
-        self.command(400, 1.0)
-        return self.stream(seconds, up)
-
-
-class Px4Plane(Px4Rig):
-    def __init__(self, seed: int = 1, **parameters: float) -> None:
-        super().__init__("plane", Plane(**placed(PLACE), limits=SIH_AIRPLANE), seed, **parameters)
-
-    def take_off(self, north_m: float = 300.0, height_m: float = 50.0) -> Self:
-        """As in the recorded flight: NAV_TAKEOFF, arm, until Hold."""
-        self.run(6.0)
-        self.command(22, 0, 0, NAN, NAN, *self.place(north_m, 0.0, height_m), frame=5)
-        self.run(0.5)
-        self.command(400, 1.0)
-        self.until(lambda: self.mode == "Hold", 60.0)
-        return self
+def circling(settle_s: float = 30.0, **told: Any) -> Rig:
+    """An ArduPlane in GUIDED about home."""
+    return Rig("ardupilot", "plane", **told).take_off(48.0).run(settle_s)
 
 
 @copied
-def _taken_off(**parameters: float) -> Px4Plane:
-    return Px4Plane(**parameters).take_off()
+def hover(height_m: float = 15.0, **told: Any) -> Rig:
+    """PX4's copter in OFFBOARD above the origin, with the parameters of the recorded ones."""
+    return Rig("px4", **_AS_RECORDED | told).take_off(height_m)
+
+
+@copied
+def _cruising(**told: Any) -> Rig:
+    return Rig("px4", "plane", **{"COM_OBL_RC_ACT": 5.0} | told).take_off(50.0)
 
 
 def cruising(
@@ -663,13 +499,11 @@ def cruising(
     east_m: float = 0.0,
     height_m: float = 68.0,
     heading_rad: float = 0.0,
-    **parameters: float,
-) -> Px4Plane:
-    """A PX4 aeroplane that has long been on its way, put there."""
-    rig = _taken_off(**parameters)
+    **told: Any,
+) -> Rig:
+    """PX4's plane that has long been on its way, put there."""
+    rig = _cruising(**told)
     plane, speed_m_s = rig.vehicle, SIH_AIRPLANE.airspeed_max_m_s
-    plane.stand(PLACE[2])
-    plane.stands = False
     place = rig.place(north_m, east_m, height_m)
     plane.latitude_deg, plane.longitude_deg, plane.altitude_amsl_m = place
     plane.heading_rad, plane.roll_rad, plane.airspeed_m_s = heading_rad, 0.0, speed_m_s

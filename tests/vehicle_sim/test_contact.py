@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 import pytest
-from harness import GROUND_M, KINDS, armable, into_the_air, item, local, placed
+from harness import COPTER_HOME, KINDS, Rig, item, placed, setpoint
 
 from vehicle_sim.dynamics.contact import Contact, Crash, is_crash
 from vehicle_sim.dynamics.plane import Plane
@@ -13,7 +13,7 @@ from vehicle_sim.plans import PlanKind
 from vehicle_sim.scene import Scene
 from vehicle_sim.terrain import PeakTerrain
 
-HILL_NORTH_M, HILL_M, SPREAD_M = 900.0, 700.0, 150.0
+GROUND_M, HILL_NORTH_M, HILL_M, SPREAD_M = 500.0, 900.0, 700.0, 150.0
 """Above the plain as a wall of 45 degrees and more from 749 m to the north on."""
 PEAK = {"north_m": HILL_NORTH_M, "east_m": 0.0, "height_amsl_m": GROUND_M + HILL_M}
 PEAK |= {"spread_north_m": SPREAD_M, "spread_east_m": 1e5}
@@ -24,9 +24,12 @@ SLOWLY = {
 """9 m/s over the ground in a wind from the north."""
 
 
-def aim_of(kind: str, north_m_s: float) -> tuple[float, ...]:
-    """Northwards; a plane flies so by itself."""
-    return (north_m_s, 0.0) if kind == "copter" else ()
+def under_way(height_m: float, north_m_s: float, *kind: Any, **told: Any) -> Rig:
+    """Northwards over the plain; a plane flies so by itself."""
+    flown = Rig(*kind, COPTER_HOME, **told).climb(height_m)
+    if flown.kind == "copter":
+        flown.streamed = setpoint(None, (north_m_s, 0.0, 0.0))
+    return flown
 
 
 def hill_m(north_m: float) -> float:
@@ -87,11 +90,10 @@ def test_a_step_up_is_hit_though_it_is_level_before_and_behind_it(
 def test_nobody_stands_on_a_slope_that_it_hits_at_9_m_s(kind: str, autopilot: str) -> None:
     slowly = SLOWLY.get((kind, autopilot), {}) | {"SIM_WIND_DIR": 0.0}
     north_m = 690.0 if kind == "copter" else 0.0
-    flown = armable(kind, autopilot, parameters=slowly, peaks=[PEAK], north_m=north_m)
+    flown = under_way(15.0, 9.0, autopilot, kind, peaks=[PEAK], north_m=north_m, **slowly)
     simulation = flown.simulation
-    into_the_air(flown, 15.0)
     assert simulation.crash is None
-    flown.until(lambda: simulation.crash is not None, 150.0, *aim_of(kind, 9.0))
+    flown.until(lambda: simulation.crash is not None, 150.0)
     crash: Any = simulation.crash
     assert (crash.into, 7.5 < crash.speed_m_s < 12.0) == ("the ground", True)
     assert crash.altitude_amsl_m == pytest.approx(hill_m(crash.north_m), abs=1.0)
@@ -106,16 +108,14 @@ def test_nobody_stands_on_a_slope_that_it_hits_at_9_m_s(kind: str, autopilot: st
 
 
 def test_a_plane_that_rolls_out_on_its_runway_has_not_crashed() -> None:
-    flown = armable("plane", "ardupilot")
+    flown = Rig("ardupilot", "plane").armable()
     legs = ((16,), (22, 0.0, 0.0, 20.0), (16, 250.0, 0.0, 20.0), (21, 500.0))
-    mission = tuple(item((47.0, 8.0), *leg) for leg in legs)
-    flown.simulation.plans[PlanKind.MISSION] = mission
-    flown.order(176, 1, 10)
-    flown.order(400, 1)
-    flown.until(lambda: flown.above_m > 10.0, 40.0)
-    flown.until(lambda: flown.above_m <= 0.0, 90.0)
-    assert flown.simulation.vehicle.velocity_m_s.real > 5.0
-    flown.until(lambda: not flown.simulation.armed, 40.0)
+    flown.plan(PlanKind.MISSION, *(item(flown.home, *leg) for leg in legs))
+    assert [flown.set_mode("AUTO"), flown.arm()] == [0, 0]
+    flown.until(lambda: flown.height_m > 10.0, 40.0)
+    flown.until(lambda: flown.height_m <= 0.0, 90.0)
+    assert flown.vehicle.velocity_m_s.real > 5.0
+    flown.until(lambda: not flown.armed, 40.0)
     assert flown.simulation.crash is None
 
 
@@ -135,10 +135,9 @@ WALL = {"points_ne_m": [[12.0, -9.0], [12.0, 9.0]], "thickness_m": 0.1, "height_
 def test_who_hits_a_thing_however_thin_falls_and_does_not_fly_through(
     kind: str, autopilot: str, things: Any, at_north_m: float
 ) -> None:
-    flown = armable(kind, autopilot, **things)
+    flown = under_way(15.0 if kind == "plane" else 5.0, 4.0, autopilot, kind, **things)
     simulation = flown.simulation
-    into_the_air(flown, 15.0 if kind == "plane" else 5.0)
-    flown.until(lambda: simulation.crash is not None, 100.0, *aim_of(kind, 4.0))
+    flown.until(lambda: simulation.crash is not None, 100.0)
     crash: Any = simulation.crash
     assert crash.into == "a tree, wall, building or wire"
     assert crash.north_m == pytest.approx(at_north_m, abs=0.3)
@@ -151,12 +150,10 @@ def test_who_hits_a_thing_however_thin_falls_and_does_not_fly_through(
 
 
 def test_who_passes_has_the_least_distance_in_the_truth() -> None:
-    flown = armable("copter", "ardupilot", trees=[TREE | {"east_m": 3.0, "radius_m": 0.5}])
-    into_the_air(flown, 5.0)
-    flown.aim = lambda _: local(None, (4.0, 0.0, 0.0))
-    flown.run(9.0)
+    tree = TREE | {"east_m": 3.0, "radius_m": 0.5}
+    flown = under_way(5.0, 4.0, "ardupilot", "copter", trees=[tree]).run(9.0)
     truth = flown.truth()
-    assert flown.simulation.armed
+    assert flown.armed
     east_m = [row["east_m"] for row in truth if abs(row["north_m"] - 12.0) < 0.5]
     least_m = min(row["near_m"] for row in truth)
     assert least_m == pytest.approx(3.0 - 0.5 - sum(east_m) / len(east_m), abs=0.02)

@@ -6,14 +6,14 @@ That a vehicle does without GPS what the real one did is seen by conformance/tes
 import functools
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 from conformance.flights import Side, read_recording
-from harness import PX4_GPS, STEP_S, ArduCopter, Px4Copter, armable, hovering
+from harness import STEP_S, ZERO, Rig, hover, hovering
 from recordings import recording
 
-from vehicle_sim.faults import GpsConditions
 from vehicle_sim.geodesy import metres_per_degree
 
 METRES_PER_DEG = metres_per_degree(47.0)[0]
@@ -21,23 +21,24 @@ METRES_PER_DEG = metres_per_degree(47.0)[0]
 # --- ArduPilot ------------------------------------------------------------------------------------
 
 
-def fly_on(it: ArduCopter, seconds: float, seen: Callable[[], object] = lambda: None) -> None:
+def fly_on(it: Rig, seconds: float, seen: Callable[[], object] = lambda: None) -> None:
     """A place streamed, and something done after each step."""
     for k in range(round(seconds / STEP_S)):
         if k % 10 == 0:
-            it.aim((0.0, 0.0, -30.0), (0.0, 0.0, 0.0))
+            it.aim((0.0, 0.0, -30.0), ZERO)
         it.step()
         seen()
 
 
-def north_m(it: ArduCopter) -> float:
+def north_m(it: Rig) -> float:
     """In truth."""
     return float(it.vehicle.latitude_deg - 47.0) * METRES_PER_DEG
 
 
 def test_a_jump_of_gps_is_resisted_for_ten_seconds_and_then_believed() -> None:
     it, flags, norths, ratios = hovering(), list[int](), list[float](), list[float]()
-    start_s, it.gps_conditions = it.now_s, GpsConditions(glitch_m=(50.0, 0.0, 0.0))
+    start_s = it.now_s
+    it.fault("gps_glitch 50 m north")
 
     def look() -> None:
         flags.append(it.autopilot.estimate.flags)
@@ -57,32 +58,16 @@ def test_a_jump_of_gps_is_resisted_for_ten_seconds_and_then_believed() -> None:
     assert north_m(it) == pytest.approx(-50.0, abs=1.0)
 
 
-def test_a_reset_moves_the_position_and_a_moved_origin_local_positions_only() -> None:
-    it = hovering()
-    place, local = it.autopilot.estimate.place, it.ned_m
-    it.autopilot.move_origin(10.0, 5.0, 1.0)
-    assert it.autopilot.estimate.place == place
-    assert np.subtract(it.ned_m, local) == pytest.approx([-10.0, -5.0, 1.0], abs=0.01)
-    it = hovering()
-    it.autopilot.estimate.shift(20.0, 0.0)
-    it.step()
-    assert it.ned_m[0] - local[0] == pytest.approx(20.0, abs=0.1)
-    fly_on(it, 30.0)
-    assert it.when("GPS Glitch or Compass error") == []
-    assert north_m(it) == pytest.approx(-20.0, abs=0.5)
-
-
 @pytest.mark.parametrize("kind", ["copter", "plane"])
-def test_an_outage_of_ten_seconds_leaves_it_armable_again(kind: str) -> None:
-    it = armable(kind, "ardupilot")  # between 7 s, "timed out", and 15 s, "stopped aiding"
-    it.simulation.add_fault("for 10 s: gps_off")
+def test_an_outage_of_ten_seconds_leaves_it_armable_again(kind: Any) -> None:
+    it = Rig("ardupilot", kind).armable()  # between 7 s, "timed out", and 15 s, "stopped aiding"
+    it.fault("for 10 s: gps_off")
     it.until(lambda: not it.simulation.armable, 10.0)
     it.until(lambda: it.simulation.armable, 5.0)
 
 
 # --- PX4 ------------------------------------------------------------------------------------------
 
-NO_FIX = GpsConditions(lag_s=0.0, enabled=False, satellites=0)
 LOST_S = 30.0
 """80.97 to 110.97 s of px4-gps-loss.tlog."""
 HERE = (0.0, 0.0, -10.0)
@@ -93,9 +78,9 @@ def loss(seed: int) -> dict[int, tuple[float, float, str]]:
     """A hover that loses its GPS for as long as the recorded flight: by twentieths of a second
     since the loss the accuracy, how far the estimate is off, and the mode.
     """
-    rig, found = Px4Copter(seed).take_off(40.0, 30.0), {}
+    rig, found = hover(40.0, seed=seed), {}
+    rig.fault(f"for {LOST_S} s: gps_off")
     for k in range(round((LOST_S + 5.0) * 20.0)):
-        rig.gps_conditions = NO_FIX if k < LOST_S * 20.0 else PX4_GPS
         rig.stream(0.05, (0.0, 0.0, -40.0))
         estimate, copter = rig.autopilot.estimate, rig.vehicle
         off_m = math.hypot(
@@ -126,12 +111,12 @@ def test_accuracy_grows_as_recorded_and_the_estimate_drifts_and_jumps_back() -> 
 
 def test_a_short_loss_is_not_noticed_and_a_glitch_is_believed_after_seven_seconds() -> None:
     """Source: reset_timeout_max 7 s."""
-    rig, moved_m = Px4Copter().take_off(10.0), list[float]()
-    for rig.gps_conditions in (NO_FIX, PX4_GPS):
-        rig.stream(4.0, HERE)
+    rig, moved_m = hover(10.0), list[float]()
+    rig.fault("for 4 s: gps_off")
+    rig.stream(8.0, HERE)
     assert (rig.mode, rig.autopilot.estimate.flags) == ("Offboard", 0x37F)
-    rig = Px4Copter().take_off(10.0)
-    rig.gps_conditions = GpsConditions(lag_s=0.0, glitch_latitude_deg=0.00045)
+    rig = hover(10.0)
+    rig.fault("gps_glitch 50 m north")
     before_deg = rig.vehicle.latitude_deg
     for seconds in (6.0, 15.0):
         rig.stream(seconds, HERE)

@@ -9,83 +9,79 @@ from typing import Any
 
 import numpy as np
 import pytest
-from harness import GCS, KINDS, PLACE, Link, armable, copied, flying, into_the_air, local, scanner
+from harness import GCS, KINDS, Rig, copied, flying, heartbeat, setpoint
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.faults import FAULTS
-from vehicle_sim.geodesy import FloatArray, LocalFrame
+from vehicle_sim.geodesy import FloatArray, LocalFrame, metres_per_degree
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.plans import PlanKind
 from vehicle_sim.world import VehicleKind
 
-METRES_PER_DEG = (111_191.0, 75_470.0)
 approx = pytest.approx
 
 
 @copied
-def under_way(firmware: Firmware) -> Link:
+def under_way(firmware: str) -> Rig:
     """Northwards by setpoints, at 5 m/s."""
     vehicle = flying(firmware, "copter")
     for number, interval_us in ((1, 200_000), (49, 1_000_000), (32, 100_000)):
         vehicle.command(511, number, interval_us)
-    vehicle.aim = lambda _: local(None, (5.0, 0.0, 0.0))
+    vehicle.streamed = setpoint(None, (5.0, 0.0, 0.0))
     vehicle.run(1.0)
     if firmware == "px4":
-        assert vehicle.command(176, 1, 6) == 0
-    vehicle.run(5.0)
-    return vehicle
+        assert vehicle.set_mode("Offboard") == 0
+    return vehicle.run(5.0)
 
 
-def flown(firmware: Firmware, line: str | None = None) -> Link:
+def flown(firmware: Firmware, line: str | None = None) -> Rig:
     """Four seconds on, with a fault or without."""
     vehicle = under_way(firmware)
     vehicle.heard.clear()
     if line is not None:
-        vehicle.simulation.add_fault(line)
-    vehicle.run(4.0)
-    vehicle.send(mavlink.MAVLink_timesync_message(0, 1))
-    vehicle.run(0.02)
+        vehicle.fault(line)
+    vehicle.run(4.0).send(mavlink.MAVLink_timesync_message(0, 1))
     return vehicle
 
 
 without = functools.cache(flown)
 
 
-def gps_m(it: Link) -> FloatArray:
+def gps_m(it: Rig) -> FloatArray:
     """North, east, up of home of each GPS_RAW_INT."""
     fixes = [(m.lat / 1e7, m.lon / 1e7, m.alt / 1e3) for m in messages(it, "GPS_RAW_INT")]
-    return (np.array(fixes) - PLACE) * (*METRES_PER_DEG, 1.0)
+    return (np.array(fixes) - it.home) * (*metres_per_degree(it.home[0]), 1.0)
 
 
-def messages(it: Link, kind: str, *source: int) -> list[Any]:
+def messages(it: Rig, kind: str, *source: int) -> list[Any]:
     return [each.message for each in it.all(kind) if each.source == (source or (1, 1))]
 
 
-def begins_m(it: Link) -> FloatArray:
+def begins_m(it: Rig) -> FloatArray:
     """North, east, down in the local frame."""
     first = messages(it, "LOCAL_POSITION_NED")[0]
     return np.array((first.x, first.y, first.z))
 
 
-def lost(it: Link) -> float:
+def lost(it: Rig) -> float:
     """Share of the autopilot's frames that did not come, as their numbers tell."""
     steps = np.diff([each.frame[4] for each in it.heard if each.source == (1, 1)]) % 256
     return 1.0 - len(steps) / float(steps.sum())
 
 
-def fence_ahead_m(it: Link) -> tuple[float, float]:
+def fence_ahead_m(it: Rig) -> tuple[float, float]:
     """How far its first item lies to the north and east of where it was put."""
-    here = under_way("px4" if it.firmware == "px4" else "ardupilot").simulation.vehicle
+    here = under_way(it.firmware).vehicle
     frame = LocalFrame(latitude_deg=here.latitude_deg, longitude_deg=here.longitude_deg)
     (there,) = it.simulation.plans[PlanKind.FENCE]
     return frame.to_local(there.x / 1e7, there.y / 1e7)
 
 
-def mode(it: Link) -> int:
+def mode(it: Rig) -> int:
     return int(it.last("HEARTBEAT").custom_mode)
 
 
-SEES: dict[str, Callable[[Link, Link], object]] = {
+SEES: dict[str, Callable[[Rig, Rig], object]] = {
     # without and with the fault: something true if it can be seen
     "gps_glitch 50 m north 10 m up": lambda a, b: (
         (gps_m(b) - gps_m(a))[8] == approx([50, 0, 10], abs=2.5)
@@ -107,7 +103,7 @@ SEES: dict[str, Callable[[Link, Link], object]] = {
     "origin_move 20 m north 3 m up": lambda a, b: (
         begins_m(b) - begins_m(a) == approx([-20, 0, 3], abs=1.0)
         and [b.last("GPS_GLOBAL_ORIGIN").latitude - a.last("GPS_GLOBAL_ORIGIN").latitude]
-        == approx([20.0 / METRES_PER_DEG[0] * 1e7], abs=10.0)
+        == approx([20.0 / metres_per_degree(47.0)[0] * 1e7], abs=10.0)
     ),
     "pilot": lambda a, b: mode(a) != mode(b),
     "reboot": lambda a, b: a.last("TIMESYNC").tc1 > 30e9 and 0 < b.last("TIMESYNC").tc1 < 10e9,
@@ -147,15 +143,21 @@ def test_two_runs_with_every_fault_say_the_same_bytes(
 ) -> None:
     """Every fault, half a second after one another, three seconds each; the reboot last."""
     once = {fault.name for fault in FAULTS if fault.once}
-    south_west = (round((PLACE[0] - 0.005) * 1e7), round((PLACE[1] - 0.008) * 1e7))
 
     def run() -> tuple[list[tuple[float, int, bytes]], list[str]]:
-        vehicle = armable(kind, firmware, PLACE, links=2, scanner=scanner(2000.0), seed=7)
-        vehicle.source, vehicle.heartbeats = GCS, (mavlink.MAV_TYPE_GCS,)
-        into_the_air(vehicle, 30.0)
+        radar = {"component_id": 100, "range_m": 2000.0}
+        vehicle = Rig(firmware, kind, links=2, scanner=radar, seed=7)
+        vehicle.source, vehicle.beat = GCS, heartbeat(mavlink.MAV_TYPE_GCS)
+        vehicle.climb(30.0)
+        for number in (1, 24, 30, 32, 33, 85, 147, 193):
+            vehicle.command(511, number, 20_000)
+        south_west = (
+            round((at - off) * 1e7) for at, off in zip(vehicle.home, (5e-3, 8e-3), strict=False)
+        )
+        asked = mavlink.MAVLink_terrain_request_message(*south_west, 30, 0xF0F)
         for line in sorted([*OTHERS, *SEES], key="reboot".__eq__):
-            vehicle.simulation.add_fault(("" if line.split()[0] in once else "for 3 s: ") + line)
-            vehicle.send(mavlink.MAVLink_terrain_request_message(*south_west, 30, 0xF0F))
+            vehicle.fault(("" if line.split()[0] in once else "for 3 s: ") + line)
+            vehicle.send(asked)
             vehicle.run(0.5)
         assert vehicle.all("TERRAIN_DATA")
         out = [(heard.at_s, heard.link, heard.frame) for heard in vehicle.heard]

@@ -1,4 +1,4 @@
-"""What every autopilot does alike, and what is told to whom; another autopilot is data."""
+"""What every autopilot does alike, each by its own figures; another autopilot is data."""
 
 import math
 import sys
@@ -12,42 +12,43 @@ import pytest
 from harness import (
     GCS,
     KINDS,
-    OFFBOARD,
     PLACE,
-    ArduCopter,
-    Link,
-    Px4Copter,
+    ZERO,
     Rig,
-    armable,
     circling,
     cruising,
     flying,
     heartbeat,
+    hover,
     hovering,
-    local,
-    ready,
+    item,
+    setpoint,
 )
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot import factory
 from vehicle_sim.autopilot.arducopter import FIRMWARE
 from vehicle_sim.autopilot.factory import PERSONALITIES
-from vehicle_sim.autopilot.values import Result
+from vehicle_sim.autopilot.legs import Route
+from vehicle_sim.autopilot.values import Place, Result
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.parameters import Firmware, Parameter
+from vehicle_sim.plans import PlanItem, PlanKind
 
 ALL_FOUR = pytest.mark.parametrize("kind", KINDS, ids="-".join)
+ACCEPTED, REJECTED, FAILED = Result.ACCEPTED, Result.TEMPORARILY_REJECTED, Result.FAILED
+STATION = heartbeat(mavlink.MAV_TYPE_GCS)
+approx = pytest.approx
 
 
 @pytest.mark.parametrize(("firmware", "boot_s"), [("ardupilot", 44.0), ("px4", 7.0)])
 def test_ardupilot_tells_texts_where_anybody_was_heard_and_px4_to_ground_stations_only(
     firmware: Firmware, boot_s: float
 ) -> None:
-    vehicle = Link("copter", firmware, PLACE, links=2)
-    vehicle.run(boot_s)
+    vehicle = Rig(firmware, links=2).run(boot_s)
     if firmware == "px4":
         vehicle.send(heartbeat())
-        vehicle.send(heartbeat(mavlink.MAV_TYPE_GCS), link=1, source=GCS)
+        vehicle.send(STATION, link=1, source=GCS)
     else:
         vehicle.send(heartbeat(), link=1)
         vehicle.command(176, 1, 4, link=1)
@@ -58,17 +59,18 @@ def test_ardupilot_tells_texts_where_anybody_was_heard_and_px4_to_ground_station
 
 
 def test_px4_takes_what_is_signed_and_what_is_not_and_never_signs() -> None:
-    vehicle, mav, stamp = ready("px4", "copter"), mavlink.MAVLink(None, *GCS), 400_000_000_000
+    vehicle, mav, stamp = Rig("px4").armable(), mavlink.MAVLink(None, *GCS), 400_000_000_000
     mav.signing.secret_key, mav.signing.link_id = bytes([7]) * 32, 3
     mav.signing.timestamp, mav.signing.sign_outgoing = stamp, True
     arm = mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, *[0] * 6)
     vehicle.put(bytes(arm.pack(mav)))
-    vehicle.run(0.1)
-    assert vehicle.simulation.armed
+    assert vehicle.armed
     vehicle.send(mavlink.MAVLink_setup_signing_message(1, 1, mav.signing.secret_key, stamp + 1))
-    vehicle.run(0.1)
-    assert vehicle.command(400, 0) == 0
+    assert vehicle.run(0.1).command(400, 0) == 0
     assert not any(heard.frame[2] & 1 for heard in vehicle.heard)
+
+
+# --- modes and arming -----------------------------------------------------------------------------
 
 
 @ALL_FOUR
@@ -79,11 +81,11 @@ def test_every_mode_is_flown_or_refused_with_a_word(kind: Any) -> None:
     back = numbers["Hold" if is_px4 else "GUIDED"]
     for mode in modes:
         since_s = client.now_s
-        result, now = client.set_mode(mode.number), client.simulation.mode_name
+        result, now = client.set_mode(mode.number), client.mode
         client.run(0.3)  # STABILIZE falls
         if result == 0:
             assert numbers[now] == mode.number
-            assert client.simulation.armed, mode.name
+            assert client.armed, mode.name
         else:
             assert is_px4 or client.texts(since_s), mode.name
         assert client.set_mode(back) == 0
@@ -91,15 +93,212 @@ def test_every_mode_is_flown_or_refused_with_a_word(kind: Any) -> None:
         assert client.last("HEARTBEAT").custom_mode == back
 
 
+@pytest.mark.parametrize(
+    ("kind", "mode", "answers", "idles_s"),
+    [
+        (KINDS[0], "GUIDED", {30.0: FAILED, 42.0: ACCEPTED}, 10.0),
+        (KINDS[1], "MANUAL", {9.5: FAILED, 20.5: FAILED, 23.1: ACCEPTED}, None),
+        (KINDS[2], "Hold", {1.0: REJECTED, 7.0: ACCEPTED}, 10.5),
+        (KINDS[3], "Hold", {1.0: REJECTED, 7.0: ACCEPTED}, None),
+    ],
+)
+def test_it_is_armed_once_its_estimator_flies_and_disarmed_if_it_only_idles(
+    kind: Any, mode: str, answers: dict[float, int], idles_s: float | None
+) -> None:
+    it = Rig(*kind)
+    for at_s, answer in answers.items():
+        it.run(at_s - it.now_s)
+        assert it.set_mode(mode) == ACCEPTED
+        assert it.arm() == answer
+        texts = it.texts()
+        assert answer == ACCEPTED or kind[0] == "px4" or texts[-1].startswith("Arm: ")
+    assert it.status.base_mode & 0x80
+    if idles_s:
+        assert it.until(lambda: not it.armed, 20.0) == approx(idles_s, abs=0.6)
+    else:
+        assert it.run(20.0).armed
+
+
 @ALL_FOUR
 def test_in_flight_it_is_disarmed_by_force_alone_and_falls(kind: Any) -> None:
     client = flying(*kind)
     assert client.command(400, 0) != 0
     assert client.command(400, 0, 21196) == 0
-    free_s = math.sqrt(2.0 * client.above_m / GRAVITY_M_S2)
-    fell_s = client.until(lambda: client.simulation.landed, 20.0)
+    free_s = math.sqrt(2.0 * client.height_m / GRAVITY_M_S2)
+    fell_s = client.until(lambda: client.landed, 20.0)
     assert free_s - 0.1 < fell_s < (free_s + 0.1 if kind[1] == "copter" else 15.0)
 
+
+# --- missions -------------------------------------------------------------------------------------
+
+Legs = tuple[tuple[float, ...], ...]
+"""Command, north and east, height, parameters."""
+_COPTER: Legs = (
+    (16,),
+    (22, 0, 0, 20.0),
+    (178, 0, 0, 0, 1.0, 4.0),
+    (16, 60.0, 0.0, 25.0),
+    (16, 60.0, 40.0, 25.0, 3.0),
+    (177, 0, 0, 0, 3.0, 1.0),
+)
+_PLANE: Legs = (
+    (16,),
+    (22, 0.0, 0.0, 50.0, 15.0),
+    (178, 0.0, 0.0, 0.0, 0.0, 20.0),
+    (16, 600.0, 0.0, 80.0),
+    (16, 600.0, 600.0, 100.0, 300.0),  # a wait that plane takes no notice of
+    (19, 0.0, 600.0, 80.0, 20.0),
+    (16, -800.0, 0.0, 60.0),
+    (16, -500.0, 0.0, 40.0),
+    (21,),
+)
+_PX4_COPTER: Legs = (
+    (22, 300.0, 0.0, 40.0),
+    (16, 40.0, 0.0, 60.0, 1.0),
+    (16, 40.0, 40.0, 60.0, 1.0),
+)
+_PX4_PLANE: Legs = (
+    (22, 300.0, 0.0, 40.0),
+    *((16, *place, 60.0) for place in ((500.0, 0.0), (500.0, 400.0), (100.0, 400.0))),
+)
+
+
+def on_mission(kind: Any, *legs: tuple[float, ...]) -> Rig:
+    """Armed, under way."""
+    it = Rig(*kind)
+    frame = 6 if kind[0] == "px4" else 3
+    items = (item(it.home, int(number), *leg, frame=frame) for number, *leg in legs)
+    it.plan(PlanKind.MISSION, *items)
+    it.armable()
+    if kind[0] == "ardupilot":
+        it.set_mode("AUTO" if kind[1] == "plane" else "GUIDED")
+        assert it.arm() == ACCEPTED
+    assert it.mode == "AUTO" or it.command(300) == ACCEPTED
+    return it
+
+
+@pytest.mark.parametrize(
+    ("kind", "legs", "order", "near_m", "spends", "fast", "ends"),
+    [
+        # 40 m at 4 m/s of DO_CHANGE_SPEED and a wait of 3 s, each twice: it jumps back once
+        *(
+            (KINDS[0], (*_COPTER, end), (1, 3, 4, 3, 4, 6), 2.0, (4, 26, 33), (3, 4.0), place)
+            for end, place in (((20,), (0.0, 0.0, 1.0)), ((21, 30.0, 20.0), (30.0, 20.0, 1.0)))
+        ),
+        # 20 s of it on its circle, 500 m away; from 40 m above home it sinks wings level
+        (KINDS[1], _PLANE, (1, *range(3, 9)), 60.0, (5, 40, 65), (3, 21.0), (400.0, 0.0, 400.0)),
+        # NAV_ACC_RAD of the one, NPFG's switch distance of the other
+        (KINDS[2], (*_PX4_COPTER, (20,)), (0, 1, 2, 3), 10.5, None, None, (0.0, 0.0, 2.0)),
+        (KINDS[3], (*_PX4_PLANE, (21,)), range(5), 32.0, None, None, (0.0, 0.0, 110.0)),
+    ],
+)
+def test_a_mission_is_flown_from_take_off_to_landing(
+    kind: Any, legs: Legs, order: Any, near_m: float, spends: Any, fast: Any, ends: Any
+) -> None:
+    it, seen = on_mission(kind, *legs), list[Any]()
+    while it.armed:
+        seen.append((it.autopilot.route.current, it.ne_m, it.speed_m_s))
+        it.step()
+        assert it.now_s < 400.0
+    items = [current for current, *_ in seen]
+    assert [n for k, n in enumerate(items) if not k or items[k - 1] != n] == [*order]
+    for _, north, east, *_ in (leg for leg in legs[2:] if leg[0] == 16):
+        assert min(math.dist((north, east), at) for _, at, _ in seen) < near_m
+    if spends:
+        number, least_s, most_s = spends
+        assert least_s < items.count(number) * 0.01 < most_s
+    if fast:
+        assert median(m_s for n, _, m_s in seen if n == fast[0]) == approx(fast[1], abs=0.5)
+    assert it.landed
+    assert math.dist(it.ne_m, ends[:2]) < ends[2]
+    told = [each.message.seq for each in it.all("MISSION_ITEM_REACHED")]
+    assert {*told} >= {n for n, leg in enumerate(legs) if leg[0] == 16 and n in order}
+
+
+def test_the_current_item_may_be_set_and_after_the_last_it_returns_and_circles_home() -> None:
+    rig = on_mission(KINDS[1], *_PLANE[:7]).run(25.0)
+    assert rig.autopilot.mission_state() == 3
+    assert [rig.command(224, 20.0), rig.command(224, 6.0)] == [FAILED, ACCEPTED]
+    assert rig.autopilot.route.current == 6
+    rig.until(lambda: math.dist(rig.ne_m, (-800.0, 0.0)) < 60.0)
+    rig.until(lambda: rig.mode == "RTL", 5.0)
+    assert rig.autopilot.mission_state() == 5
+    assert math.hypot(*rig.run(90.0).ne_m) == approx(97.4, abs=3.0)  # recorded flight, 298 s
+    assert rig.height_m == approx(100.0, abs=1.0)
+
+
+def test_an_endless_jump_between_nothings_ends() -> None:
+    nothing = item(PLACE, 16)
+    forever = PlanItem(frame=0, command=177, parameters=(1.0, -1.0, 0.0, 0.0))
+    here = Place(*PLACE)
+    route = Route(first_item=1)
+    assert route.seek((nothing, forever), 1, (here, here, PLACE[2]), now_s=0.0) is None
+    assert route.complete
+
+
+# --- failsafes ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("make", "parameter", "action", "begins", "after_s", "mode"),
+    [
+        (hovering, "FS_GCS_ENABLE", 1, "GUIDED", 4.9, "RTL"),
+        (circling, "FS_GCS_ENABL", 1, "GUIDED", 4.9, "RTL"),
+        (circling, "FS_GCS_ENABL", 1, "MANUAL", 4.9, "RTL"),
+        (hover, "NAV_DLL_ACT", 3, "Offboard", 10.0, "Land"),
+    ],
+)
+def test_a_ground_station_is_missed_after_it_was_heard_whoever_else_is(
+    make: Callable[[], Rig], parameter: str, action: int, begins: str, after_s: float, mode: str
+) -> None:
+    it = make()
+    it.autopilot.parameters[parameter] = action
+    it.streamed = setpoint(None, ZERO)
+    assert it.run(12.0 if begins != "MANUAL" else 0.0).set_mode(begins) == ACCEPTED
+    assert it.mode == begins
+    it.send(STATION, source=GCS)
+    other = heartbeat() if it.firmware == "px4" else STATION
+    seen = list[str]()
+    for tenth in range(round(after_s * 10.0) + 3):
+        if tenth % 5 == 0:
+            it.send(other, source=(254, 77))
+        seen.append(it.run(0.1).mode)
+    assert (seen[-6], seen[-1]) == (begins, mode)
+    if mode == "RTL":
+        it.send(STATION, source=GCS)
+        assert it.run(0.2).texts()[-1] == "GCS Failsafe Cleared"
+        assert it.mode == "RTL"
+
+
+@pytest.mark.parametrize(
+    ("make", "told", "line", "after_s", "mode"),
+    [
+        (
+            hovering,
+            {"BATT_LOW_VOLT": 10.5, "BATT_FS_LOW_ACT": 2},
+            "battery_voltage 10 V",
+            9.9,
+            "RTL",
+        ),
+        (hover, {}, "battery 6.5 %", 0.1, "Return"),  # COM_LOW_BAT_ACT 3
+        (hover, {}, "battery 4 %", 0.1, "Land"),
+    ],
+)
+def test_a_low_battery_is_acted_on_and_whoever_commands_another_mode_has_it(
+    make: Callable[..., Rig], told: dict[str, float], line: str, after_s: float, mode: str
+) -> None:
+    it = make(**told)
+    it.send(STATION, source=GCS)
+    begins, it.streamed = it.mode, setpoint(None, ZERO)
+    it.fault(line)
+    took_s = it.until(lambda: it.mode == mode, 15.0)
+    assert took_s == approx(after_s, abs=0.5)
+    assert it.set_mode(begins) == ACCEPTED
+    assert it.run(1.0).mode == begins
+    assert mode != "RTL" or any(text.startswith("Battery 1 is low ") for text in it.texts())
+
+
+# --- another one ----------------------------------------------------------------------------------
 
 _NUMBERS = {"GUIDED": 40, "LAND": 41, "RTL": 42}
 """custom_mode of an autopilot that there is not."""
@@ -123,25 +322,23 @@ def test_a_world_names_another_autopilot_and_it_flies_as_its_data_say(
 ) -> None:
     mine = replace(PERSONALITIES["ardupilot", "copter"], firmware=SPARROW)
     monkeypatch.setitem(PERSONALITIES, ("sparrow", "copter"), mine)
-    flown = armable("copter", "sparrow")
+    flown = Rig("sparrow").armable()
     assert flown.command(224, 7) == Result.DENIED  # no such item: ArduPilot says FAILED
-    assert [flown.command(176, 1, 40), flown.command(400, 1)] == [0, 0]
+    flown.take_off(10.0)
     assert flown.texts() == ["Off we go"]
-    flown.order(22, *[0.0] * 6, 10.0)
-    flown.until(lambda: flown.above_m > 9.5, 30.0)
     beat = flown.last("HEARTBEAT")
-    assert (beat.custom_mode, beat.autopilot, flown.simulation.mode_name) == (40, 0, "GUIDED")
-    flown.send(local((200.0, 0.0, -10.0), (0.0, 0.0, 0.0)))
+    assert (beat.custom_mode, beat.autopilot, flown.mode) == (40, 0, "GUIDED")
+    flown.aim((200.0, 0.0, -10.0), ZERO)
     speeds_m_s = list[float]()
-    flown.run(20.0, lambda: speeds_m_s.append(flown.simulation.vehicle.velocity_m_s.real))
-    assert max(speeds_m_s) == pytest.approx(3.0, abs=0.5)
+    flown.run(20.0, lambda: speeds_m_s.append(flown.speed_m_s))
+    assert max(speeds_m_s) == approx(3.0, abs=0.5)
 
 
 FLYING: dict[str, Callable[[], Rig]] = {
     "arducopter": hovering,
     "arduplane": circling,
-    "ideal": lambda: ArduCopter(drag=False).airborne(),
-    "px4copter": lambda: Px4Copter().take_off(),
+    "ideal": lambda: Rig("ideal").take_off(),
+    "px4copter": hover,
     "px4plane": cruising,
 }
 
@@ -151,7 +348,7 @@ def test_a_step_that_follows_a_path_calls_at_most_15_functions_of_the_autopilots
     rig, called, counts = FLYING[name](), set[Any](), list[int]()
     rig.aim((300.0, 0.0, -40.0), (5.0, 0.0, 0.0))
     if name == "px4plane":
-        assert rig.command(176, 1.0, *OFFBOARD) == Result.ACCEPTED
+        assert rig.set_mode("Offboard") == ACCEPTED
     where = str(Path(factory.__file__).parent)
 
     def note(at: Any, event: str, _: Any) -> None:
@@ -160,7 +357,7 @@ def test_a_step_that_follows_a_path_calls_at_most_15_functions_of_the_autopilots
 
     for k in range(200):
         if name == "arduplane":
-            rig.command(192, -1.0, 1.0, 0.0, 0.0, -35.36, 149.17, 80.0, frame=3)
+            rig.reposition(300.0, 0.0, 80.0)
         elif k % 10 == 0:
             rig.aim((300.0, 0.0, -40.0), (5.0, 0.0, 0.0))
         called.clear()

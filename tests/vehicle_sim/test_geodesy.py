@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import pytest
-from harness import KINDS, armable, heartbeat, into_the_air
+from harness import KINDS, Rig, heartbeat
 from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import Geod, Transformer
@@ -67,22 +67,22 @@ def fence(longitude_deg: float) -> tuple[PlanItem, ...]:
     )
 
 
-def flight(kind: str, autopilot: str, longitude_deg: float) -> tuple[Any, Sequence[int]]:
+def flight(kind: Any, autopilot: str, longitude_deg: float) -> tuple[Any, Sequence[int]]:
     """Over the line to the east within a fence, into its edge, and what that makes it do."""
     on = (
         {"FENCE_ENABLE": 1.0, "FENCE_TYPE": 4.0} if autopilot == "ardupilot" else {"GF_ACTION": 3.0}
     )
-    flown = armable(kind, autopilot, (47.0, longitude_deg, 400.0), parameters=on, heading_deg=90.0)
+    flown = Rig(autopilot, kind, (47.0, longitude_deg, 400.0), heading_deg=90.0, **on).armable()
     flown.simulation.plans[PlanKind.FENCE] = fence(longitude_deg)
     flown.send(heartbeat())
     for message in (24, 33):
-        flown.order(511, message, 500_000)
-    into_the_air(flown, 12.0)
+        flown.command(511, message, 500_000)
+    flown.climb(12.0)
     for k in range(2800):
         if kind == "copter" and k % 20 == 0:
-            flown.go(0.0, 0.0, 8.0, at_m=(0.0, 0.08 * k, -12.0))
+            flown.aim((0.0, 0.08 * k, -12.0), (0.0, 8.0, 0.0))
         if k == 100:
-            flown.simulation.add_fault("ground_fence 5 m 9000 m ahead")  # all of it is read again
+            flown.fault("ground_fence 5 m 9000 m ahead")  # all of it is read again
         flown.step()
     told = (*flown.all("GLOBAL_POSITION_INT"), *flown.all("GPS_RAW_INT"))
     fields = ("mode", "north_m", "east_m", "altitude_amsl_m")

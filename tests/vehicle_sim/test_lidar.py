@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from harness import GROUND_M, Link
+from harness import Rig
 
 NOT_THERE, NOT_KNOWN, PROXIMITY = 1601, 65535, 0x4000000
 POST = {"north_m": 10.0, "east_m": 0.0, "radius_m": 1.0, "height_m": 50.0}
@@ -16,7 +16,7 @@ AT_ONCE = {"kind": "sectors"}
 approx = pytest.approx
 
 
-class Bench(Link):
+class Bench(Rig):
     """A vehicle that is held where the test wants it, and what it says."""
 
     def __init__(
@@ -30,19 +30,16 @@ class Bench(Link):
         turn_rad: tuple[float, float, float] = (0.0, 0.0, 0.0),
         **fields: Any,
     ) -> None:
-        table = {"range_m": 16.0} | dict(lidar)
-        super().__init__("copter", autopilot, (47.0, 8.0, GROUND_M), lidar=table, **fields)
-        self.source, self.turn_rad = (1, 195), turn_rad
-        pilot = self.simulation._controller.autopilot
-        flies = pilot.step
+        super().__init__(autopilot, lidar={"range_m": 16.0} | dict(lidar), **fields)
+        self.turn_rad, flies = turn_rad, self.autopilot.step
 
         def held(*arguments: Any) -> Any:
-            replies, vehicle = flies(*arguments), self.simulation.vehicle
-            vehicle.altitude_amsl_m = GROUND_M + hold_m
+            replies, vehicle = flies(*arguments), self.vehicle
+            vehicle.altitude_amsl_m = self.home[2] + hold_m
             vehicle.roll_rad, vehicle.pitch_rad, vehicle.heading_rad = self.turn_rad
             return replies
 
-        pilot.step = held  # type: ignore[method-assign]
+        self.autopilot.step = held
         self.run(0.1 if asks else 0.0)
         for number in asks:
             self.command(511, number, 100_000)
@@ -195,10 +192,10 @@ def test_a_second_lidar_is_told_as_sectors_of_component_1_beside_the_drivers_own
 
 
 def test_a_rangefinder_measures_slant_range_and_goes_on_beyond_its_maximum() -> None:
-    parameters = {"RNGFND1_TYPE": 100.0, "RNGFND1_MAX": 12.0}
     turn_rad = (math.radians(20.0), math.radians(-10.0), 1.0)
     how: dict[str, Any] = {"asks": (132, 173), "hold_m": 16.0, "turn_rad": turn_rad}
-    bench = Bench(2.0, parameters=parameters, faults="at 3 s: rangefinder_off", **how)
+    how |= {"RNGFND1_TYPE": 100.0, "RNGFND1_MAX": 12.0}
+    bench = Bench(2.0, faults="at 3 s: rangefinder_off", **how)
     slant_m = 16.0 / (math.cos(math.radians(20.0)) * math.cos(math.radians(10.0)))
     m = bench.last("DISTANCE_SENSOR")
     assert m.current_distance == approx(slant_m * 100, abs=1)

@@ -1,10 +1,10 @@
 """The three kinds of endpoint, on real sockets."""
 
-import socket
 import threading
 from collections.abc import Callable, Iterator
 
 import pytest
+from clients import tcp_client, udp_client
 
 from vehicle_sim.errors import InputError
 from vehicle_sim.links import Link, open_link, parse_endpoint
@@ -33,12 +33,6 @@ def received(link: Link) -> bytes:
             return data
         threading.Event().wait(0.01)
     pytest.fail("nothing came")
-
-
-def udp_client() -> socket.socket:
-    client = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    client.settimeout(5.0)
-    return client
 
 
 @pytest.mark.parametrize(
@@ -71,34 +65,30 @@ def test_udpin_finds_a_port_and_answers_everybody_who_was_heard(opened: Open) ->
     assert link.endpoint.port > 0
     link.send([b"nobody hears this"])
     with udp_client() as one, udp_client() as two:
-        for client, words in ((one, b"one"), (two, b"two")):
+        for client, words in ((one.link, b"one"), (two.link, b"two")):
             client.sendto(words, ("127.0.0.1", link.endpoint.port))
             assert received(link) == words
         link.send([b"for ", b"both"])
-        assert one.recv(100) == two.recv(100) == b"for both"
+        assert one.datagram() == two.datagram() == b"for both"
 
 
 def test_what_is_sent_after_a_refusal_is_not_lost_with_it(opened: Open) -> None:
     with udp_client() as probe:
-        probe.bind(("127.0.0.1", 0))
-        address = probe.getsockname()
-    link = opened(f"udpout:127.0.0.1:{address[1]}")
+        link = opened(probe.endpoint)
     link.send([b"nobody is there"])
-    with udp_client() as client:
-        client.bind(address)
+    with udp_client(probe.port) as client:
         link.send([b"now"])
-        assert client.recv(100) == b"now"
+        assert client.datagram() == b"now"
 
 
 def test_tcpin_serves_one_client_after_the_other(opened: Open) -> None:
     link = opened("tcpin:127.0.0.1:0")
-    address = ("127.0.0.1", link.endpoint.port)
     for words in (b"first", b"second"):
-        with socket.create_connection(address, timeout=5.0) as client:
-            client.sendall(words)
+        with tcp_client(link.endpoint.port) as client:
+            client.send(words)
             assert received(link) == words
             link.send([words, b"!"])
-            assert client.recv(100) == words + b"!"
+            assert client.datagram() == words + b"!"
         while link.receive() is not None:
             pass
     link.send([b"nobody is there"])
@@ -108,20 +98,20 @@ def test_a_tcp_client_that_does_not_read_costs_bounded_memory_and_gets_whole_fra
     opened: Open,
 ) -> None:
     link = opened("tcpin:127.0.0.1:0")
-    address, frame, got = ("127.0.0.1", link.endpoint.port), bytes(range(200)) * 5, bytearray()
-    with socket.create_connection(address, timeout=5.0) as client:
-        client.sendall(b"x")
+    frame, got = bytes(range(200)) * 5, bytearray()
+    with tcp_client(link.endpoint.port) as client:
+        client.send(b"x")
         received(link)
         for _ in range(20_000):
             link.send([frame])
         assert len(link._pending) < 1_000_000  # type: ignore[attr-defined]
         while len(got) < 1_000_000:
-            got += client.recv(65536)
+            got += client.datagram()
         assert bytes(got[:1_000_000]) == frame * 1000
     while link.receive() is not None:
         pass
-    with socket.create_connection(address, timeout=5.0) as client:
-        client.sendall(b"x")
+    with tcp_client(link.endpoint.port) as client:
+        client.send(b"x")
         received(link)
         link.send([b"only this"])
-        assert client.recv(65536) == b"only this"
+        assert client.datagram() == b"only this"

@@ -3,6 +3,7 @@
 import math
 from typing import Any
 
+import harness
 import numpy as np
 import pytest
 import shapely
@@ -12,25 +13,15 @@ from vehicle_sim.geodesy import FloatArray
 from vehicle_sim.world import Tree, World, parse_world
 
 GROUND_M = 100.0
-FLAT: Any = {"combine": "maximum", "ground_amsl_m": GROUND_M}
 Solid = tuple[Any, float]
 """A shapely geometry in north and east, from the ground up to a height."""
 
 
 def world(**near: Any) -> World:
-    return parse_world(
-        {
-            "schema": 1,
-            "name": "near",
-            "origin": {"latitude_deg": 47.0, "longitude_deg": 8.0},
-            "terrain": FLAT,
-            "vehicle": {"kind": "copter", "autopilot": "ardupilot"},
-            **near,
-        }
-    )
+    return parse_world(harness.world(place=(47.0, 8.0, GROUND_M), **near))
 
 
-def drawn(seed: int, terrain: Any = FLAT) -> tuple[World, list[Solid]]:
+def drawn(seed: int, *peaks: Any) -> tuple[World, list[Solid]]:
     """Random things, and the same as shapely has them."""
     rng, solids = np.random.default_rng(seed), list[Solid]()
     trees, walls, buildings = [], [], []
@@ -55,7 +46,7 @@ def drawn(seed: int, terrain: Any = FLAT) -> tuple[World, list[Solid]]:
         corners = (rng.uniform(-30, 30, 2) + rays).tolist()
         if (shape := shapely.Polygon(corners)).is_valid:
             buildings.append({"corners_ne_m": corners} | height(shape))
-    return world(terrain=terrain, trees=trees, walls=walls, buildings=buildings), solids
+    return world(peaks=peaks, trees=trees, walls=walls, buildings=buildings), solids
 
 
 def away_m(solids: list[Solid], points: FloatArray) -> FloatArray:
@@ -75,29 +66,11 @@ def test_distances_are_shapelys(seed: int) -> None:
     assert made.scene().distance_m(points) == pytest.approx(away_m(solids, points), abs=1e-4)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_level_beams_are_as_long_as_shapelys_lines(seed: int) -> None:
-    made, solids = drawn(seed)
-    rng = np.random.default_rng(seed + 200)
-    angles = rng.uniform(0, math.tau, 60)
-    ways = np.stack([np.cos(angles), np.sin(angles), np.zeros(60)], -1)
-    eye = np.array([*rng.uniform(-30, 30, 2), GROUND_M + 5.0])
-    while away_m(solids, eye[None])[0] == 0.0:
-        eye[:2] += 1.0
-    tall = shapely.union_all([shape for shape, top in solids if top > eye[2]])
-    expected = []
-    for way in ways:
-        line = shapely.LineString([eye[:2], eye[:2] + 40.0 * way[:2]]).intersection(tall)
-        expected.append(math.inf if line.is_empty else shapely.Point(eye[:2]).distance(line))
-    found = made.scene().ray_lengths_m(eye, ways, 40.0)
-    assert found == pytest.approx(expected, abs=2e-3)
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_tilted_beams_end_where_small_steps_first_are_inside_or_in_a_hill(seed: int) -> None:
     hill = {"north_m": 40.0, "east_m": 0.0, "height_amsl_m": GROUND_M + 30.0}
     hill |= {"spread_north_m": 15.0, "spread_east_m": 20.0}
-    made, solids = drawn(seed, {"combine": "maximum", "ground_amsl_m": GROUND_M, "peaks": [hill]})
+    made, solids = drawn(seed, hill)
     ways = np.random.default_rng(seed + 300).normal(size=(12, 3)) * [1.0, 1.0, 0.4]
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     eye = np.array([0.0, 0.0, GROUND_M + 22.0])  # above all roofs: beams come down on them

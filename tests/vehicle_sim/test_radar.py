@@ -6,26 +6,22 @@ called seen although it is hidden lies so little behind a ridge that the ridge h
 
 import math
 from collections.abc import Callable
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from harness import placed
+from harness import Heard, Rig, placed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as mavlink
 from pyproj import Geod
 
-from vehicle_sim.autopilot.values import Sender
 from vehicle_sim.dynamics import Vehicle
-from vehicle_sim.faults import RadarConditions
 from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.sensors.terrain_radar import UNSEEN_M, TerrainRadar
 from vehicle_sim.terrain import PeakRow, PeakTerrain
-from vehicle_sim.wire.components import RadarComponent
-from vehicle_sim.wire.frames import StreamParser, framed
+from vehicle_sim.world import Peak
 
 FloatArray = NDArray[np.float64]
 Height = Callable[[FloatArray, FloatArray], FloatArray]
@@ -173,7 +169,7 @@ def marched(height: Height, eye: tuple[float, float, float], points_ne_m: FloatA
 
 @pytest.mark.parametrize(
     ("seed", "combine", "spacing_m", "above_ground_m"),
-    [(0, "maximum", 50, 150.0), (3, "sum", 160, 5.0)],
+    [(0, "maximum", 200, 20.0), (3, "sum", 160, 5.0)],
 )
 def test_nothing_is_called_hidden_that_a_ray_reaches_and_little_is_seen_through_a_ridge(
     seed: int, combine: Any, spacing_m: int, above_ground_m: float
@@ -199,6 +195,7 @@ def test_nothing_is_called_hidden_that_a_ray_reaches_and_little_is_seen_through_
     in_range = np.hypot(*points.reshape(28, 32, 9, 2)[:, :, 4].T).T < RANGE_M - 1.0
     false_seen = ~hidden & in_range & (covered_m > 0.0)
     assert not np.any(hidden & in_range & (covered_m <= 0.0))
+    assert (hidden & in_range).sum() > 100
     assert false_seen.sum() <= 0.15 * in_range.sum()
     # its bounds are those of cells of a four-hundredth of its range, and of those around; slopes
     # are up to 1.5
@@ -207,12 +204,12 @@ def test_nothing_is_called_hidden_that_a_ray_reaches_and_little_is_seen_through_
 
 # --- its component --------------------------------------------------------------------------------
 
-TICK_US, STEP_US, S = 50_000, 10_000, 1_000_000
-WALL = [(2000.0, float(e), 1000.0, 200.0, 400.0) for e in range(-6000, 6001, 250)]
-TERRAIN = PeakTerrain(WALL, combine="maximum", ground_amsl_m=100.25)
-RADAR = TerrainRadar(TERRAIN, FRAME, range_m=4000.0)
-Said = list[tuple[int, int | None, Any]]
-"""When, on which link (None: on all), and what."""
+TOP_M, TICK_S = 500.0, 0.1
+RIDGE = [(2000.0, float(e), 1000.0, 200.0, 400.0) for e in range(-6000, 6001, 250)]
+ROWS: list[PeakRow] = [*RIDGE, (0.0, 0.0, TOP_M, 30.0, 30.0)]
+"""A ridge, and a hill on which the vehicle stands."""
+TERRAIN = PeakTerrain(ROWS, combine="maximum", ground_amsl_m=100.25)
+CONE = [dict(zip(Peak.model_fields, row, strict=False)) for row in ROWS]
 
 
 def request(mask: int = ALL_BLOCKS) -> Any:
@@ -221,91 +218,89 @@ def request(mask: int = ALL_BLOCKS) -> Any:
     return mavlink.MAVLink_terrain_request_message(*place, 200, mask)
 
 
-def told(until_us: int, *asked: tuple[int, Any], link: int = 0, **conditions: Any) -> Said:
-    """What it says if it is asked at these times, of a vehicle that flies off after 60 ms."""
-    said: Said = []
-    now_us = 0
-
-    def send(message: Any, links: Any, source: tuple[int, int]) -> None:
-        assert source == (1, 100)
-        ((_, heard),) = StreamParser(datagrams=True).feed(framed(message, 0, *source))
-        said.append((now_us, links and links[0], heard))
-
-    radio: Any = SimpleNamespace(send=send, router=SimpleNamespace(ids=(1, 1)))
-    component = RadarComponent(RADAR, np.random.default_rng(1), radio, 100)
-    for now_us in range(STEP_US, until_us + 1, STEP_US):
-        for _, message in (each for each in asked if each[0] == now_us - STEP_US):
-            component.receive(message, Sender(system=255, component=190, link=link))
-        place = FRAME.to_geographic(3000.0 if now_us > 60_000 else 0.0, 0.0)
-        vehicle = Vehicle(**placed((*place, 500.0)))
-        component.step(now_us, vehicle, RadarConditions(**conditions), tick=now_us % TICK_US == 0)
-    return said
+def standing(*faults: str) -> Rig:
+    """On the hill, after a second of this."""
+    table: dict[str, Any] = {"component_id": 100, "range_m": RANGE_M}
+    it = Rig("ideal", "copter", (47.0, 8.0, 100.25), links=4, scanner=table, peaks=CONE, seed=1)
+    for line in faults:
+        it.fault(line)
+    it.run(1.0).heard.clear()
+    return it
 
 
-def of(said: Said, name: str) -> list[Any]:
-    return [message for _, _, message in said if message.get_type() == name]
+def answered(*faults: str) -> list[Heard]:
+    """What it says to a request within 0.9 s, of a vehicle that is elsewhere in the next tick."""
+    it = standing(*faults)
+    it.send(request(), link=3)
+    it.run(TICK_S).vehicle.latitude_deg += 0.03
+    return [each for each in it.run(0.8).heard if each.source == (1, 100)]
 
 
-def heights(said: Said) -> Any:
+def of(said: list[Heard], kind: str) -> list[Any]:
+    return [each.message for each in said if each.kind == kind]
+
+
+def heights(said: list[Heard]) -> Any:
     return np.array([block.data for block in of(said, "TERRAIN_DATA")], dtype=np.int64).ravel()
 
 
-def answered(**conditions: Any) -> Said:
-    return told(900_000, (0, request()), **conditions)
-
-
 def test_a_request_is_answered_once_at_the_end_of_its_tick_with_what_the_radar_sees() -> None:
-    asked = request()
-    said = told(900_000, (20_000, request(mask=1)), (20_000, asked), link=3)  # the newest counts
-    assert {(time_us, link) for time_us, link, _ in said} == {(50_000, 3)}
+    it, asked = standing(), request()
+    it.run(0.05).send(request(mask=1), asked, link=3)  # the newest counts
+    said = [each for each in it.run(0.4).heard if each.source == (1, 100)]
+    assert {(round(each.at_s, 3), each.link) for each in said} == {(1.0 + TICK_S, 3)}
     blocks, (report,) = of(said, "TERRAIN_DATA"), of(said, "TERRAIN_REPORT")
     for each in (*blocks, report):
         spacing_m = each.spacing if each is report else each.grid_spacing
         assert (each.lat, each.lon, spacing_m) == (asked.lat, asked.lon, 200)
     assert (report.loaded, report.pending) == (56, 0)
     assert report.terrain_height == pytest.approx(TERRAIN.height_at_amsl_m(-2800.0, -3200.0))
-    assert report.current_height == pytest.approx(500.0 - report.terrain_height)
-    truth = RADAR.answer(*request_about(HERE, 200), viewpoint(HERE, 500.0))
+    assert report.current_height == pytest.approx(TOP_M - report.terrain_height)
+    radar = TerrainRadar(TERRAIN, FRAME, range_m=RANGE_M)
+    truth = radar.answer(*request_about(HERE, 200), viewpoint(HERE, TOP_M))
     assert {block.gridbit: list(block.data) for block in blocks} == truth
 
 
 def test_its_heart_beats_once_a_second_and_it_obeys_nobody() -> None:
     order = mavlink.MAVLink_command_long_message
-    asked = [(0, order(1, target, 400, 0, *[0.0] * 7)) for target in (0, 100, 1)]
-    said = [(at_us, each.get_type()) for at_us, _, each in told(3 * S, *asked, link=2)]
-    assert said == [(k * S, "HEARTBEAT") for k in (1, 2, 3)]
-    assert told(3 * S, (0, request()), silent=True) == []
+    for fault, beats in (("turbulence 0 m/s", 3), ("radar_off", 0)):
+        it = standing(fault)
+        it.send(*(order(1, target, 400, 0, *[0.0] * 7) for target in (0, 100)), request())
+        heard = [each for each in it.run(3.0).heard if each.source == (1, 100)]
+        said = [each.kind for each in heard if each.link == 0]
+        assert (said.count("HEARTBEAT"), "COMMAND_ACK" in said) == (beats, False)
+        assert ("TERRAIN_REPORT" in said) is bool(beats)
 
 
 @pytest.mark.parametrize("delay_s", [0.1, 0.77])
 def test_a_delay_delays_the_answer_and_not_the_look(delay_s: float) -> None:
-    said = answered(delay_s=delay_s)
-    assert {time_us for time_us, _, _ in said} == {50_000 + round(delay_s * S)}
+    said = answered(f"radar_delay {delay_s * 1e3} ms")
+    assert {round(each.at_s, 3) for each in said} == {round(1.0 + TICK_S + delay_s, 3)}
     assert np.array_equal(heights(said), heights(answered()))
 
 
 @pytest.mark.parametrize(
-    ("conditions", "reports", "apart_us"), [({"delay_s": 1.0}, 9, S), ({"rate_hz": 2.0}, 21, 5e5)]
+    ("fault", "reports", "apart_s"), [("radar_delay 1000 ms", 9, 1.0), ("radar_rate 2 Hz", 21, 0.5)]
 )
 def test_it_holds_one_answer_at_a_time_and_keeps_its_rate(
-    conditions: Any, reports: int, apart_us: float
+    fault: str, reports: int, apart_s: float
 ) -> None:
-    """It is asked for a block at each tick of 10 s."""
-    asked = [(k * TICK_US, request(mask=1 << k % 56)) for k in range(200)]
-    said = told(10 * S, *asked, **conditions)
-    times = [time_us for time_us, _, each in said if each.get_type() == "TERRAIN_REPORT"]
+    """It is asked for a block twenty times a second, for 10 s."""
+    it = standing(fault)
+    it.streamed = request(mask=1)
+    times = [each.at_s for each in it.run(10.0).all("TERRAIN_REPORT")]
     assert len(times) == reports
-    assert min(np.diff(times[1:])) >= apart_us
+    assert min(np.diff(times[1:])) >= apart_s - 1e-6
 
 
 def test_what_is_lost_or_missed_is_so_in_its_share_and_nothing_else_changes() -> None:
-    truth, blind, lossy = heights(answered()), answered(blind=True), answered(frames_lost=0.3)
+    truth, blind, lossy = heights(answered()), answered("radar_blind"), answered("radar_loss 30 %")
     assert (len(blind), set(heights(blind))) == (57, {UNSEEN_M})
     by_bit, blocks = of(answered(), "TERRAIN_DATA"), of(lossy, "TERRAIN_DATA")
     assert 56 * 0.5 < len(blocks) < 56 * 0.9
-    assert lossy[-1][2].loaded == 56  # the report counts them
+    assert of(lossy, "TERRAIN_REPORT")[0].loaded == 56  # the report counts them
     assert all(by_bit[block.gridbit].data == block.data for block in blocks)
-    got = heights(answered(cells_missed=0.25))
+    got = heights(answered("radar_drop 25 %"))
     seen = truth != UNSEEN_M
     missed = seen & (got == UNSEEN_M)
     assert missed.sum() / seen.sum() == pytest.approx(0.25, abs=0.05)
@@ -316,9 +311,8 @@ def test_what_is_lost_or_missed_is_so_in_its_share_and_nothing_else_changes() ->
 def test_noise_never_lowers_a_cell_unless_it_says_so(noise_m: float) -> None:
     truth = heights(answered())
     seen = truth != UNSEEN_M
-    above, either = (
-        heights(answered(noise_m=noise_m, either_way=either_way)) for either_way in (False, True)
-    )
+    line = f"radar_noise {noise_m} m"
+    above, either = (heights(answered(each)) for each in (line, f"{line} either_way"))
     for got in (above, either):
         assert np.array_equal(got == UNSEEN_M, ~seen)
         assert np.all((got >= -32768) & (got <= 32767))

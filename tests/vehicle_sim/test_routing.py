@@ -2,23 +2,19 @@
 
 import math
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import pytest
-from harness import COMPANION, GCS, Ids
+from harness import COMPANION, GCS, Ids, Rig, copied
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilot.factory import PERSONALITIES
-from vehicle_sim.autopilot.values import Ack, Command, Sender, SendTelemetry
+from vehicle_sim.autopilot.values import Sender
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.wire.frames import StreamParser
 from vehicle_sim.wire.routing import Router
-from vehicle_sim.wire.streams import Streams
 
-STEP_US, S = 10_000, 1_000_000
+S = 1_000_000
 BOTH = pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
 
 # --- who gets what --------------------------------------------------------------------------------
@@ -94,35 +90,20 @@ def test_nothing_goes_to_a_component_before_it_has_spoken_and_routes_are_bounded
 
 # --- when it is due -------------------------------------------------------------------------------
 
-HERE = Sender(system=1, component=191, link=0)
-POSITION, ATTITUDE, LOCAL, HEARTBEAT, ORIGIN = 33, 30, 32, 0, 49
-ACCEPTED, DENIED, FAILED = 0, 2, 4
+POSITION, ATTITUDE, LOCAL, ORIGIN = 33, 30, 32, 49
+GLOBAL_POSITION, ACCEPTED, DENIED, FAILED = "GLOBAL_POSITION_INT", 0, 2, 4
 
 
-def fresh(firmware: Firmware, rates_hz: Any = ()) -> Streams:
-    is_px4, known = firmware == "px4", frozenset({POSITION, ATTITUDE, LOCAL})
-    profile = replace(
-        PERSONALITIES[firmware, "copter"].firmware,
-        rates_hz={HEARTBEAT: 1.0, **dict(rates_hz)},
-        first_heartbeat_us=S,
-        streamable=known if is_px4 else known | {HEARTBEAT},
-        requestable=known | {ORIGIN},
-        data_streams={} if is_px4 else {6: (POSITION, LOCAL), 10: (ATTITUDE,)},
-    )
-    return Streams(profile, range(2), 0)
+@copied
+def fresh(firmware: Firmware) -> Rig:
+    return Rig(firmware, links=2).armable()
 
 
-def ask(streams: Streams, number: int, *p: float, now_us: int = S) -> Sequence[Any]:
-    padded: Any = (*p, *[0.0] * (7 - len(p)))
-    return streams.on_command(Command(HERE, 1, number, padded), now_us)
-
-
-def counts(streams: Streams, seconds: float, begin_us: int = S) -> Counter[Any]:
-    seen = Counter[Any]()
-    for now_us in range(begin_us, begin_us + round(seconds * 1e6), STEP_US):
-        if now_us >= streams.soonest_us:
-            seen.update(streams.due(now_us))
-    return seen
+def counts(it: Rig, seconds: float) -> Counter[Any]:
+    """Of what comes in so long, by message, and by link too."""
+    it.heard.clear()
+    said = [each for each in it.run(seconds).heard if each.source == (1, 1)]
+    return Counter(each.kind for each in said) + Counter((each.kind, each.link) for each in said)
 
 
 @BOTH
@@ -130,65 +111,60 @@ def counts(streams: Streams, seconds: float, begin_us: int = S) -> Counter[Any]:
 def test_a_rate_is_met_exactly_and_only_on_the_link_that_asked(
     firmware: Firmware, rate_hz: float
 ) -> None:
-    streams, interval_us = fresh(firmware), round(1e6 / rate_hz)
-    assert ask(streams, 511, POSITION, interval_us) == [Ack(to=HERE, command=511, result=ACCEPTED)]
+    it, interval_us = fresh(firmware), round(1e6 / rate_hz)
+    usual = counts(it, 20.0)
+    assert it.command(511, POSITION, interval_us) == ACCEPTED
     if firmware == "ardupilot":  # whole milliseconds
         interval_us = interval_us // 1000 * 1000
-    assert streams.interval_us(0, POSITION) == interval_us
-    seen = counts(streams, 20.0)
-    assert seen[0, POSITION] == pytest.approx(20e6 / interval_us, abs=1.5)
-    assert seen[1, POSITION] == 0
-    assert seen[0, HEARTBEAT] == seen[1, HEARTBEAT] == 20
-    streams.due(100 * S)  # a pause is not made up for
-    assert streams.due(100 * S + 1) == []
+    seen = counts(it, 20.0)
+    assert seen[GLOBAL_POSITION, 0] == pytest.approx(20e6 / interval_us, abs=1.5)
+    assert seen[GLOBAL_POSITION, 1] == usual[GLOBAL_POSITION, 1]
+    assert seen["HEARTBEAT", 0] == seen["HEARTBEAT", 1] == 20
+    it.simulation.now_us += 80 * S  # a pause is not made up for
+    assert counts(it, 0.5)[GLOBAL_POSITION, 0] == pytest.approx(0.5e6 / interval_us, abs=1.5)
 
 
 @BOTH
-def test_minus_one_stops_and_zero_restores_the_default(firmware: Firmware) -> None:
-    streams = fresh(firmware, {POSITION: 5.0})
-    for number, told_us in ((POSITION, -1), (ATTITUDE, 100_000)):
-        ask(streams, 511, number, told_us)
-    assert counts(streams, 2.0)[0, POSITION] == 0
-    for number in (POSITION, ATTITUDE):
-        ask(streams, 511, number, 0)
-    assert counts(streams, 2.0, 9_000_000)[0, POSITION] == pytest.approx(10, abs=1)
-    assert streams.interval_us(0, ATTITUDE) == 0
+def test_minus_one_stops_zero_restores_the_default_and_no_number_is_refused(
+    firmware: Firmware,
+) -> None:
+    it = fresh(firmware)
+    usual = counts(it, 2.0)[GLOBAL_POSITION, 0]
+    for asked_us, came in ((-1, 0), (0, usual), (100_000, 20), (0, usual)):
+        assert it.command(511, POSITION, asked_us) == ACCEPTED
+        assert counts(it, 2.0)[GLOBAL_POSITION, 0] == pytest.approx(came, abs=1)
+    for nothing in (math.inf, math.nan):
+        assert it.command(511, POSITION, nothing) in (DENIED, FAILED)
+    assert counts(it, 2.0)[GLOBAL_POSITION, 0] == pytest.approx(usual, abs=1)
 
 
-@pytest.mark.parametrize("number", [230, 33.5, math.nan])
+@pytest.mark.parametrize("number", [230.5, 12920, math.nan])
 def test_what_is_not_streamed_is_denied_or_fails(number: float) -> None:
     for firmware, results in (("ardupilot", (DENIED, FAILED)), ("px4", (FAILED, DENIED))):
         for asks, result in zip((511, 512), results, strict=True):
-            (ack,) = ask(fresh(firmware), asks, number, 1e5)  # type: ignore[arg-type]
-            assert ack.result == result
+            assert fresh(firmware).command(asks, number, 1e5) == result
 
 
 @BOTH
-def test_one_message_can_be_asked_for_and_an_interval_that_is_no_number_is_refused(
-    firmware: Firmware,
-) -> None:
-    streams, send = fresh(firmware), SendTelemetry(message=ORIGIN, to=HERE)
-    for asked_us in (math.inf, math.nan):
-        assert ask(streams, 511, POSITION, asked_us)[-1].result in (DENIED, FAILED)
-        assert streams.interval_us(0, POSITION) == 0
-    answers = [Ack(to=HERE, command=512, result=ACCEPTED), send]  # PX4: the message first
-    assert ask(streams, 512, ORIGIN) == answers[:: -1 if firmware == "px4" else 1]
+def test_one_message_can_be_asked_for_and_comes_to_who_asked(firmware: Firmware) -> None:
+    asked = message("command_long", 1, 1, command=512, param1=ORIGIN)
+    kinds = [each.get_type() for each in fresh(firmware).ask(asked)]
+    answers = ["COMMAND_ACK", "GPS_GLOBAL_ORIGIN"]  # PX4: the message first
+    assert [k for k in kinds if k in answers] == answers[:: -1 if firmware == "px4" else 1]
 
 
 def test_a_data_stream_sets_its_group_over_single_intervals_and_asked_again_holds_up_nothing() -> (
     None
 ):
-    streams, seen = fresh("ardupilot"), Counter[Any]()
+    it = fresh("ardupilot")
     group = partial(mavlink.MAVLink_request_data_stream_message, 1, 1)
-    ask(streams, 511, POSITION, 20_000)
-    for now_us in range(S, 21 * S, STEP_US):
-        if now_us % 500_000 == 0:  # faster than the messages themselves
-            streams.on_data_stream(group(6, 1, 1), HERE, now_us)
-        seen.update(streams.due(now_us))
-    told = [seen[0, number] for number in (POSITION, LOCAL, ATTITUDE)]
+    it.command(511, POSITION, 20_000)
+    it.streamed = group(6, 1, 1)  # faster than the messages themselves
+    seen = counts(it, 20.0)
+    told = [seen[kind, 0] for kind in (GLOBAL_POSITION, "LOCAL_POSITION_NED", "ATTITUDE")]
     assert told == pytest.approx([20, 20, 0], abs=1)
-    streams.on_data_stream(group(0, 2, 1), HERE, S)
-    assert counts(streams, 10.0, 30 * S)[0, ATTITUDE] == pytest.approx(20, abs=1)
-    for stopped in (group(0, 2, 0), group(77, 4, 1)):
-        streams.on_data_stream(stopped, HERE, S)
-    assert set(counts(streams, 3.0, 50 * S)) == {(0, HEARTBEAT), (1, HEARTBEAT)}
+    it.streamed = None
+    it.send(group(0, 2, 1))
+    assert counts(it, 10.0)["ATTITUDE", 0] == pytest.approx(20, abs=1)
+    it.send(group(0, 2, 0), group(77, 4, 1))
+    assert {*counts(it, 3.0)} - {"HEARTBEAT"} == {("HEARTBEAT", 0), ("HEARTBEAT", 1)}

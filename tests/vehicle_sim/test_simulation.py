@@ -5,19 +5,22 @@ from typing import Any
 
 import numpy as np
 import pytest
-from harness import PLACE, Link, armable, heartbeat, into_the_air, scanner
+from harness import Rig, heartbeat
 from pymavlink.dialects.v20 import all as mavlink
 
 DOWN_S = 1.1
 """The autopilot reboots for so long."""
 
 
-def fresh(seed: int = 0) -> Link:
+RADAR = {"component_id": 100, "range_m": 5000.0}
+
+
+def fresh(seed: int = 0) -> Rig:
     """With a radar, and a companion as the client."""
-    return Link("copter", "ideal", PLACE, scanner=scanner(5000.0), seed=seed)
+    return Rig("ideal", scanner=RADAR, seed=seed)
 
 
-def tick(vehicle: Link) -> list[str]:
+def tick(vehicle: Rig) -> list[str]:
     """What comes until a tick of lockstep is complete, by kind."""
     begun = len(vehicle.heard)
     while not vehicle.step():
@@ -40,8 +43,8 @@ def test_a_tick_is_one_position_period() -> None:
     vehicle = fresh()
     tick(vehicle)
     assert vehicle.simulation.now_us == 100_000
-    vehicle.send(mavlink.MAVLink_command_long_message(1, 1, 511, 0, 33, 50_000, *[0] * 5))
-    assert tick(vehicle) == ["COMMAND_ACK", "GLOBAL_POSITION_INT"]
+    assert vehicle.command(511, 33, 50_000) == 0
+    assert tick(vehicle) == ["GLOBAL_POSITION_INT"]
     assert vehicle.last("GLOBAL_POSITION_INT").time_boot_ms == 150
     tick(vehicle)
     assert vehicle.simulation.now_us == 200_000
@@ -57,10 +60,7 @@ def test_only_the_companion_that_was_heard_first_ends_the_run() -> None:
 
 def test_the_truth_is_a_header_and_ten_lines_a_second() -> None:
     vehicle = fresh(seed=3)
-    vehicle.run(43.0)
-    for command in ((176, 1, 4), (400, 1), (22, 0, 0, 0, 0, 0, 0, 30)):
-        assert vehicle.command(*command) == 0
-    vehicle.run(60.0 - vehicle.now_s)
+    vehicle.climb(10.0).run(60.0 - vehicle.now_s)
     header, *rows = map(json.loads, vehicle.simulation.take_truth())
     assert (header["world"], header["seed"], header["schema"]) == ("flat", 3, 1)
     assert [row["t_s"] for row in rows] == pytest.approx(np.arange(601) / 10)
@@ -71,7 +71,7 @@ def test_the_truth_is_a_header_and_ten_lines_a_second() -> None:
     }
     assert (rows[0]["mode"], rows[0]["armed"], rows[0]["landed"]) == ("STABILIZE", False, True)
     assert (rows[-1]["mode"], rows[-1]["armed"], rows[-1]["landed"]) == ("GUIDED", True, False)
-    assert rows[0]["altitude_amsl_m"] == PLACE[2]
+    assert rows[0]["altitude_amsl_m"] == vehicle.home[2]
     speeds = np.diff([row["altitude_amsl_m"] for row in rows]) / 0.1
     assert speeds == pytest.approx([row["velocity_up_m_s"] for row in rows[1:]], abs=0.3)
 
@@ -82,15 +82,13 @@ def test_a_reboot_is_the_autopilots_alone(autopilot: str) -> None:
     lidar: dict[str, Any] = {}
     if autopilot == "px4":  # ArduPilot boots for 42 s
         lidar = {"lidar": {"range_m": 20.0, "rate_hz": 5.0, "component_id": 196}}
-    flown = armable("copter", autopilot, scanner=scanner(500.0), **lidar)
+    flown = Rig(autopilot, scanner=RADAR, **lidar).climb(4.0)
     simulation = flown.simulation
-    into_the_air(flown, 4.0)
-    assert simulation.armed
     flown.truth()
-    simulation.add_fault("reboot")
-    flown.run(0.1)
-    flown.heard.clear()
-    flown.send(mavlink.MAVLink_terrain_request_message(470000000, 80000000, 100, 1))
+    flown.fault("reboot")
+    flown.run(0.1).heard.clear()
+    south_west = (round(1e7 * at) for at in flown.home[:2])
+    flown.send(mavlink.MAVLink_terrain_request_message(*south_west, 100, 1))
     for _ in range(90):
         flown.step()
         assert (simulation.armed, simulation.armable) == (False, False)
@@ -112,10 +110,10 @@ def test_who_waits_for_a_heartbeat_and_then_asks_gets_what_it_asked_for(
     kind: Any, autopilot: str, first_s: float
 ) -> None:
     """At once, as most scripts do: after the start, after a reboot (ardupilot.md 1, px4.md 3)."""
-    vehicle = Link(kind, autopilot, PLACE, scanner=scanner(5000.0))
+    vehicle = Rig(autopilot, kind, scanner=RADAR)
     for began_s in (0.0, None):
         if began_s is None:
-            vehicle.simulation.add_fault("reboot")
+            vehicle.fault("reboot")
             vehicle.run(0.01)
             began_s = vehicle.now_s + DOWN_S
             vehicle.run(DOWN_S)
@@ -125,5 +123,5 @@ def test_who_waits_for_a_heartbeat_and_then_asks_gets_what_it_asked_for(
         assert beats[-1].at_s == pytest.approx(began_s + first_s, abs=0.011)
         if not began_s:  # of the radar's too none is within the 60 ms that forget
             assert beats[0].at_s == pytest.approx(min(first_s, 1.0), abs=0.011)
-        vehicle.send(mavlink.MAVLink_command_long_message(1, 1, 511, 0, 30, 50_000, *[0] * 5))
-        assert [heard.kind for heard in vehicle.run(1.0)].count("ATTITUDE") >= 19
+        assert vehicle.command(511, 30, 50_000) == 0
+        assert len(vehicle.run(1.0).all("ATTITUDE")) >= 19

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 from clients import Client, is_question
-from harness import NAN, PLACE, local
+from harness import NAN, PLACE, setpoint
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.testing import Simulator, vehicle_sim  # noqa: F401
@@ -130,7 +130,7 @@ def test_what_the_real_one_does_not_survive_fails_the_test_unless_it_is_not_to(
     strict: bool,
 ) -> None:
     sim = vehicle_sim(ready=True, strict=strict)
-    send(sim, command(176, 1, 4), local((NAN, 0.0, -20.0)))
+    send(sim, command(176, 1, 4), setpoint((NAN, 0.0, -20.0)))
     with pytest.raises(AssertionError, match="SIM:") if strict else nullcontext():
         sim.advance(1.0)
 

@@ -7,8 +7,6 @@ back without end); what is off the path at 0.5 Hz (here 1.7 m rms for 4.0).
 
 import functools
 import math
-from collections.abc import Callable, Iterable
-from typing import Any
 
 import pytest
 import tracked
@@ -17,14 +15,6 @@ from tracked import EIGHTS, FIXED_WING, JUMPS, PLANE_ROWS, STOPS, WEAVES
 approx = pytest.approx
 fly_weave = functools.cache(functools.partial(tracked.fly_weave, seconds=54.0))
 fly_eight, fly_fixed = functools.cache(tracked.fly_eight), functools.cache(tracked.fly_fixed)
-
-
-def sparse(rows: Iterable[Any], is_between: Callable[[Any], bool], name: Callable[..., str]) -> Any:
-    """A parameter of these rows; those between others that say as much are flown at night."""
-    marked = ((row, [pytest.mark.nightly] if is_between(row) else []) for row in rows)
-    return pytest.mark.parametrize(
-        "row", [pytest.param(row, marks=marks, id=name(row)) for row, marks in marked]
-    )
 
 
 # --- ArduCopter -----------------------------------------------------------------------------------
@@ -36,10 +26,11 @@ LOOSER = {
 }
 
 
-@sparse(
+@pytest.mark.sample(2)
+@pytest.mark.parametrize(
+    "row",
     [row for row in WEAVES if row.speed_m_s < 10 or row.lean_deg >= 45.0],
-    lambda row: row.speed_m_s == 5 or row.rate_hz in (2, 4, 20) or row.lateral_m_s2 == 2.4,
-    lambda row: f"{row.speed_m_s} m/s, {row.lateral_m_s2} m/s2, {row.kind}, {row.rate_hz} Hz",
+    ids=lambda row: f"{row.speed_m_s} m/s, {row.lateral_m_s2} m/s2, {row.kind}, {row.rate_hz} Hz",
 )
 def test_arducopter_follows_a_weaving_route_as_measured(row: tracked.Weave) -> None:
     """The document does not tell the wave length of its routes."""
@@ -102,21 +93,11 @@ SATURATED_M_S = 12.0
 """MPC_XY_VEL_MAX: there the lag grows for as long as one looks, and depends on the start."""
 
 
-def is_between(row: tracked.Eight) -> bool:
-    """Whether rows that are more extreme, or that lag more, say what it says."""
-    if row.carrot_m:
-        return row.carrot_m > 5.0
-    if row.speed_m_s >= SATURATED_M_S:
-        return row.kind != "position"
-    if row.rate_hz == 50.0:
-        return row.kind == "position + velocity"
-    return row.rate_hz in (5.0, 10.0) or row.speed_m_s in (5.0, 10.0)
-
-
-@sparse(
+@pytest.mark.sample(2)
+@pytest.mark.parametrize(
+    "row",
     EIGHTS,
-    is_between,
-    lambda row: f"{row.speed_m_s:.0f} {row.kind} {row.rate_hz:.0f} {row.lead_s} {row.carrot_m}",
+    ids=lambda row: f"{row.speed_m_s:.0f} {row.kind} {row.rate_hz:.0f} {row.lead_s} {row.carrot_m}",
 )
 def test_px4_tracks_a_curve_as_the_real_one_does(row: tracked.Eight) -> None:
     """Without a position, and 0.15 s ahead, the real one's own runs differ by as much."""
@@ -147,10 +128,9 @@ def flown_off_path_m(row: int) -> tuple[float, float]:
     return tracked.off_path(law, lateral_m_s2, hz=hz)[:2]
 
 
-@sparse(
-    range(len(PLANE_ROWS)),
-    lambda k: k not in (*LOOK_AHEADS, 10, 12),
-    lambda k: f"{PLANE_ROWS[k][0]}, {PLANE_ROWS[k][2]} m/s2, {PLANE_ROWS[k][3]} Hz",
+@pytest.mark.sample(2)
+@pytest.mark.parametrize(
+    "row", range(len(PLANE_ROWS)), ids=lambda k: "{0}, {2} m/s2, {3} Hz".format(*PLANE_ROWS[k])
 )
 def test_arduplane_follows_a_weaving_route_as_well_as_the_real_one(row: int) -> None:
     assert flown_off_path_m(row) == approx(PLANE_ROWS[row][4], rel=0.4, abs=2.0)
@@ -164,10 +144,8 @@ def test_the_best_look_ahead_is_the_measured_one_and_curvature_matters_more_than
     assert abs(at_1_hz - ahead[160]) < 0.5 * (ahead[160] - ahead[115])
 
 
-FLOWN = ("pos + vel, lead 20 m", "pos + vel + acc", "DO_REPOSITION at 1 Hz, lead 130 m")
-
-
-@sparse(FIXED_WING, lambda row: row.name not in FLOWN, lambda row: row.name)
+@pytest.mark.sample(2)
+@pytest.mark.parametrize("row", FIXED_WING, ids=lambda row: row.name)
 def test_px4s_plane_follows_a_curve_as_measured(row: tracked.FixedWing) -> None:
     got = fly_fixed(row)
     assert got.rms_m == approx(row.rms_m, abs=row.within_m)

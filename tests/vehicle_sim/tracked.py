@@ -6,27 +6,13 @@ are north, east, down.
 """
 
 import cmath
-import functools
 import math
 from collections import namedtuple
-from collections.abc import Callable
-from typing import Any, Final
+from collections.abc import Callable, Sequence
+from typing import Any, Final, NamedTuple
 
 import numpy as np
-from harness import (
-    NAN,
-    OFFBOARD,
-    STEP_S,
-    ZERO,
-    ArduCopter,
-    ArduPlane,
-    Px4Copter,
-    Px4Plane,
-    Vector,
-    circling,
-    cruising,
-    hovering,
-)
+from harness import NAN, STEP_S, ZERO, Rig, Vector, circling, copied, cruising, hover, hovering
 
 from vehicle_sim.geodesy import FloatArray
 
@@ -83,28 +69,42 @@ def _flat(level: complex, down: float) -> Vector:
     return level.real, level.imag, down
 
 
-def lean_deg(it: ArduCopter | Px4Copter) -> float:
-    """How far a copter is inclined."""
-    return math.degrees(math.acos(math.cos(it.vehicle.roll_rad) * math.cos(it.vehicle.pitch_rad)))
+class Seen(NamedTuple):
+    """What was looked at twenty times a second: T of each."""
+
+    step: FloatArray
+    """Of the rig: the one that has been flown."""
+    ned_m: FloatArray
+    """Where it believed to be.  (T, 3)"""
+    neu_m_s: FloatArray
+    """How it moved.  (T, 3)"""
+    lean_deg: FloatArray
+    heading_rad: FloatArray
+
+    @property
+    def ne_m(self) -> FloatArray:
+        """North + east j."""
+        return self.ned_m[:, 0] + 1j * self.ned_m[:, 1]
+
+    @property
+    def speed_m_s(self) -> FloatArray:
+        return np.hypot(*self.neu_m_s[:, :2].T)
 
 
 def _flown(
-    rig: Any,
-    seconds: float,
-    hz: float,
-    send: Callable[[int], object],
-    look: Callable[[int], tuple[float, ...]],
-    since_s: float = 0.0,
-) -> FloatArray:
-    """Send at this rate, and what is seen twenty times a second.  -> (things, times)."""
-    every, seen = round(1.0 / hz / STEP_S), []
+    rig: Rig, seconds: float, hz: float, send: Callable[[int, Any], object], since_s: float = 0.0
+) -> Seen:
+    """Send at this rate, with the number of the step and what was seen, and look."""
+    every, seen, vehicle = round(1.0 / hz / STEP_S), list[Any](), rig.vehicle
     for k in range(round(seconds / STEP_S)):
         if k % every == 0:
-            send(k)
+            send(k, seen)
         rig.step()
         if k % 5 == 0 and k * STEP_S >= since_s:
-            seen.append(look(k))
-    return np.array(seen).T
+            lean_rad = math.acos(math.cos(vehicle.roll_rad) * math.cos(vehicle.pitch_rad))
+            turns = (math.degrees(lean_rad), vehicle.heading_rad)
+            seen.append((k, rig.ned_m, vehicle.velocity_neu_m_s, *turns))
+    return Seen(*map(np.array, zip(*seen, strict=True)))
 
 
 # --- ArduCopter: ardupilot.md 3 -------------------------------------------------------------------
@@ -113,7 +113,7 @@ PERIOD_S = 12.0
 """Of the weaving heading, which the document does not tell: this one agrees with it best."""
 
 
-def aim(it: ArduCopter, kind: str, position: Vector, *derivatives: Vector) -> None:
+def aim(it: Rig, kind: str, position: Vector, *derivatives: Vector) -> None:
     """A setpoint of this kind, in LOCAL_NED or as GLOBAL_INT above home."""
     if kind.startswith("GLOBAL"):
         there = it.autopilot.frame.place(*position)
@@ -187,30 +187,27 @@ def fly_weave(
 ) -> Weave:
     """Stream a route and measure along and off it; late_s: how old setpoints are when sent."""
     speed_cm_s = max(row.speed_m_s, 10.0) * 100.0
-    it = hovering(row.lean_deg, WPNAV_SPEED=speed_cm_s, GUID_TIMEOUT=3.0)
+    it = hovering(lean_deg=row.lean_deg, WPNAV_SPEED=speed_cm_s, GUID_TIMEOUT=3.0)
     it.vehicle.wind_m_s = complex(0.0, wind_east_m_s)
     it.run(15.0 if wind_east_m_s else 0.0)
     route = position, velocity, _ = weave(row.speed_m_s, row.lateral_m_s2, seconds)
     late = round(late_s / STEP_S)
 
-    def send(k: int) -> None:
+    def send(k: int, _: Any) -> None:
         aim(it, row.kind, *(each[max(k - late, 0)].tolist() for each in route))
 
-    def look(k: int) -> tuple[float, ...]:
-        there, way, here = (complex(*each[:2]) for each in (position[k], velocity[k], it.ne_m))
-        # the step has been flown by now
-        ahead_m = ((here - there) / way).real * abs(way) - abs(way) * STEP_S
-        nose_rad = math.remainder(it.vehicle.heading_rad - cmath.phase(way), math.tau)
-        off_m = np.hypot(*(position[:, :2] - it.ne_m).T).min()
-        return ahead_m, off_m, it.speed_m_s, abs(math.degrees(nose_rad))
-
-    along, off, speed, nose = _flown(it, seconds, row.rate_hz, send, look, since_s=40.0)
+    seen = _flown(it, seconds, row.rate_hz, send, since_s=40.0)
+    there, way = (each[:, 0] + 1j * each[:, 1] for each in (position, velocity))
+    way, off_m = way[seen.step], [np.abs(there - here).min() for here in seen.ne_m]
+    # the step has been flown by now
+    ahead_m = ((seen.ne_m - there[seen.step]) / way).real * np.abs(way) - np.abs(way) * STEP_S
+    nose_rad = np.angle(np.exp(1j * seen.heading_rad) / way)
     return row._replace(
-        along_m=along.mean(),
-        off_rms_m=_rms(off),
-        off_max_m=off.max(),
-        flown_m_s=speed.mean(),
-        nose_deg=nose.mean(),
+        along_m=ahead_m.mean(),
+        off_rms_m=_rms(off_m),
+        off_max_m=max(off_m),
+        flown_m_s=seen.speed_m_s.mean(),
+        nose_deg=np.degrees(np.abs(nose_rad)).mean(),
     )
 
 
@@ -236,16 +233,13 @@ def end_stream(row: Stop) -> Stop:
     speed = np.array([10.0 * smooth(k * STEP_S / 15.0) for k in range(last + 1)])
     north = ((np.cumsum(speed) - speed) * STEP_S).tolist()
 
-    def send(k: int) -> None:
+    def send(k: int, _: Any) -> None:
         if k <= last:
             aim(it, row.kind, (north[k], 0.0, -30.0), (float(speed[k]), 0.0, 0.0), ZERO)
 
-    def look(k: int) -> tuple[float, ...]:
-        after_s = (k + 1 - last) * STEP_S
-        return after_s, it.vehicle.velocity_m_s.real, it.ned_m[0] - north[last]
-
-    after_s, speed_m_s, ahead_m = _flown(it, 65.0, 10.0, send, look, since_s=last * STEP_S)
-    brakes_s, still_s = (after_s[speed_m_s < slow][0] for slow in (9.5, 0.1))
+    seen = _flown(it, 65.0, 10.0, send, since_s=last * STEP_S)
+    after_s, ahead_m = (seen.step + 1 - last) * STEP_S, seen.ned_m[:, 0] - north[last]
+    brakes_s, still_s = (after_s[seen.neu_m_s[:, 0] < slow][0] for slow in (9.5, 0.1))
     return Stop(row.kind, row.timeout_s, brakes_s, still_s, ahead_m.max(), ahead_m[-1])
 
 
@@ -272,30 +266,26 @@ JUMPS = (
 
 def jump(row: Jump) -> Jump:
     """Fly on for 30 s, move the target, and measure along the jump."""
-    it, jumps_s = hovering(height_m=60.0, GUID_TIMEOUT=3.0, WPNAV_SPEED=1000.0), 30.0
+    it, jumps_s = hovering(60.0, GUID_TIMEOUT=3.0, WPNAV_SPEED=1000.0), 30.0
     speed = np.minimum(np.arange(6500) * STEP_S, row.speed_m_s)
     targets = np.zeros((6500, 3))
     targets[:, 0], targets[:, 2] = (np.cumsum(speed) - speed) * STEP_S, -60.0
     targets[round(jumps_s / STEP_S) :] += row.ned_m
 
-    def send(k: int) -> None:
+    def send(k: int, _: Any) -> None:
         north, east, down = targets[k].tolist()
         aim(it, row.kind, (north, east, down), (float(speed[k]), 0.0, 0.0), ZERO)
 
-    def look(k: int) -> tuple[float, ...]:
-        _, east_m_s, up_m_s = it.vehicle.velocity_neu_m_s
-        return (*(targets[k] - it.ned_m), it.speed_m_s, abs(up_m_s), abs(east_m_s), lean_deg(it))
-
-    *away, speeds, climbs, laterals, tilts = _flown(it, 65.0, 10.0, send, look, since_s=jumps_s)
-    axis = int(np.argmax(np.abs(row.ned_m)))
+    seen = _flown(it, 65.0, 10.0, send, since_s=jumps_s)
+    away, axis = targets[seen.step] - seen.ned_m, int(np.argmax(np.abs(row.ned_m)))
     # a stream of positions alone is trailed: then only the way across counts
-    far = np.abs(away[axis]) if row.kind == "position" else np.linalg.norm(away, axis=0)
+    far = np.abs(away[:, axis]) if row.kind == "position" else np.linalg.norm(away, axis=-1)
     return row._replace(
-        peak_m_s=(climbs if row.ned_m[2] else speeds).max(),
+        peak_m_s=(np.abs(seen.neu_m_s[:, 2]) if row.ned_m[2] else seen.speed_m_s).max(),
         within_s=float(np.flatnonzero(far > 1.0)[-1] + 1) * 5 * STEP_S,
-        overshoot_m=max(0.0, (-np.sign(row.ned_m[axis]) * away[axis]).max()),
-        tilt_deg=tilts.max(),
-        lateral_m_s=laterals.max(),
+        overshoot_m=max(0.0, (-np.sign(row.ned_m[axis]) * away[:, axis]).max()),
+        tilt_deg=seen.lean_deg.max(),
+        lateral_m_s=np.abs(seen.neu_m_s[:, 1]).max(),
     )
 
 
@@ -352,13 +342,15 @@ def _moved(elapsed_s: float, speed_m_s: float) -> tuple[float, float]:
 
 def fly_eight(row: Eight) -> Tracking:
     """One run of 42 s; measured 2 s after the target has gathered its speed, at 9 s at least."""
-    rig, curve, reached_m = Px4Copter().take_off(), Curve(), 0.0
+    rig, curve, reached_m = hover(20.0), Curve(), 0.0
     begins_s = max(9.0, row.speed_m_s / _RAMP_M_S2 + 2.0)
 
-    def send(k: int) -> None:
+    def send(k: int, _: Any) -> None:
+        nonlocal reached_m
         target_m, moving_m_s = _moved(k * STEP_S, row.speed_m_s)
         target_m += moving_m_s * row.lead_s
         if row.carrot_m is not None:
+            reached_m, _ = curve.along(rig.ne_m, reached_m)
             target_m = reached_m + row.carrot_m
         position, velocity, acceleration, yaw_rad = curve.at(target_m, moving_m_s)
         rig.aim(
@@ -368,17 +360,16 @@ def fly_eight(row: Eight) -> Tracking:
             yaw_rad,
         )
 
-    def look(k: int) -> tuple[float, ...]:
-        nonlocal reached_m
-        reached_m, cross_m = curve.along(rig.ne_m, reached_m)
-        behind_m = _moved((k + 1) * STEP_S, row.speed_m_s)[0] - reached_m
-        high_m = rig.ned_m[2] - curve.at(reached_m, row.speed_m_s)[0][2]
-        return behind_m, cross_m, high_m, rig.speed_m_s
-
-    seen = _flown(rig, _RUN_S, row.rate_hz, send, look)[:, round(begins_s * 20.0) :]
-    along, cross, high, speed = seen
+    seen, reached_m, on = _flown(rig, _RUN_S, row.rate_hz, send), 0.0, []
+    for step, ned_m in zip(seen.step, seen.ned_m, strict=True):
+        reached_m, cross_m = curve.along(ned_m[:2], reached_m)
+        behind_m = _moved((step + 1) * STEP_S, row.speed_m_s)[0] - reached_m
+        on.append((behind_m, cross_m, ned_m[2] - curve.at(reached_m, row.speed_m_s)[0][2]))
+    counts = seen.step * STEP_S >= begins_s
+    along, cross, high = np.array(on)[counts].T
     most_m, aside_m = np.abs(along).max(), np.abs(cross).max()
-    return Tracking(along.mean(), most_m, _rms(cross), aside_m, _rms(high), speed.mean())
+    speed_m_s = seen.speed_m_s[counts].mean()
+    return Tracking(along.mean(), most_m, _rms(cross), aside_m, _rms(high), speed_m_s)
 
 
 def _eight(kind: str, speed: float, rate: float, figures: str, lead_s: float = 0.0) -> Eight:
@@ -425,7 +416,7 @@ EIGHTS = (
 
 
 def _followed(
-    rig: ArduPlane | Px4Plane,
+    rig: Rig,
     route: Sine,
     aim: Callable[[int], object],
     *,
@@ -433,31 +424,34 @@ def _followed(
     seconds: float,
     counts: Callable[[float, int], bool],
     begin: int = 0,
-    age_steps: int = 0,
+    age: int = 0,
 ) -> Off:
-    """Aim from the point nearest to where the vehicle was, so old; measure ten times a second."""
-    every, index, known = round(1.0 / hz / STEP_S), begin, begin
+    """Aim from the point nearest to where the vehicle was, so many looks ago."""
+    index = begin
+
+    def send(_: int, seen: Sequence[Any]) -> None:
+        nonlocal index
+        here = seen[-age][1] if len(seen) > age > 0 else rig.ned_m
+        index, _ = route.nearest(here[:2], index)
+        aim(index)
+
+    seen, on = _flown(rig, seconds, hz, send), begin
     flown = list[tuple[float, float]]()
-    for k in range(round(seconds / STEP_S)):
-        if k % 10 == 0 or k % every == 0:
-            index, right_m = route.nearest(rig.ne_m, index)
-            if k % 10 == 0 and counts(k * STEP_S, index):
-                flown.append((right_m, rig.speed_m_s))
-        known = index if k % every == 0 else known
-        if k % every == age_steps % every:
-            aim(known)
-        rig.step()
-    off_m, speed_m_s = np.array(flown).T
-    return Off(_rms(off_m), float(np.abs(off_m).max()), float(speed_m_s.mean()))
+    for step, ned_m, speed_m_s in zip(seen.step, seen.ned_m, seen.speed_m_s, strict=True):
+        on, right_m = route.nearest(ned_m[:2], on)
+        if counts(step * STEP_S, on):
+            flown.append((right_m, speed_m_s))
+    off_m, speed = np.array(flown).T
+    return Off(_rms(off_m), float(np.abs(off_m).max()), float(speed.mean()))
 
 
 # --- ArduPlane: ardupilot.md 7 --------------------------------------------------------------------
 
 RADIUS_MOST_M = 600.0
 """Of an osculating circle: the route has straight places."""
-AGE_STEPS = 15
-"""A client knows where the vehicle was 0.15 s ago: telemetry at 10 Hz, and its own time."""
-Law = Callable[[ArduPlane, Sine, int], object]
+AGE = 3
+"""Looks: a client knows where the vehicle was 0.15 s ago: telemetry at 10 Hz, and its own time."""
+Law = Callable[[Rig, Sine, int], object]
 """Sends what it takes, with the index of the nearest point."""
 
 
@@ -471,7 +465,7 @@ def look_ahead(ahead_m: float, radius_m: float) -> Law:
 def osculating(ahead_s: float, smaller_m: float = 17.0) -> Law:
     """DO_REPOSITION to the centre of curvature of the route some seconds ahead."""
 
-    def send(rig: ArduPlane, route: Sine, nearest: int) -> object:
+    def send(rig: Rig, route: Sine, nearest: int) -> object:
         index = route.ahead(nearest, ahead_s * rig.speed_m_s)
         way, curvature = route.bends(index)
         radius_m = min(1.0 / max(abs(curvature), 1e-6), RADIUS_MOST_M)
@@ -485,7 +479,7 @@ def osculating(ahead_s: float, smaller_m: float = 17.0) -> Law:
 def heading_towards(ahead_m: float, lateral_m_s2: float = 6.0) -> Law:
     """GUIDED_CHANGE_HEADING, course over ground, towards a point ahead."""
 
-    def send(rig: ArduPlane, route: Sine, nearest: int) -> object:
+    def send(rig: Rig, route: Sine, nearest: int) -> object:
         way = complex(*route.point(route.ahead(nearest, ahead_m))) - complex(*rig.ne_m)
         course_deg = math.degrees(cmath.phase(way)) % 360.0
         return rig.command(43002, 0.0, course_deg, lateral_m_s2, frame=3)
@@ -493,8 +487,8 @@ def heading_towards(ahead_m: float, lateral_m_s2: float = 6.0) -> Law:
     return send
 
 
-@functools.cache
-def _before_the_route() -> ArduPlane:
+@copied
+def _before_the_route() -> Rig:
     """400 m south of home, where routes begin."""
     rig = circling(0.0, AIRSPEED_CRUISE=20.0)
     rig.reposition(-900.0, 0.0, 80.0, 10.0)
@@ -510,7 +504,7 @@ def off_path(law: Law, lateral_m_s2: float, *, hz: float = 4.0) -> Off:
     # curvature at most swing * 2 pi / wave = lateral / speed^2
     route = Sine(swing_rad, swing_rad * math.tau * speed_m_s**2 / lateral_m_s2, 6000.0, 1.0)
     route.ne_m -= (400.0, 0.0)
-    rig = _before_the_route().copy()
+    rig = _before_the_route()
     return _followed(
         rig,
         route,
@@ -518,7 +512,7 @@ def off_path(law: Law, lateral_m_s2: float, *, hz: float = 4.0) -> Off:
         hz=hz,
         seconds=100.0,
         counts=lambda _, index: 400 < index < 5900,
-        age_steps=AGE_STEPS,
+        age=AGE,
     )
 
 
@@ -593,11 +587,10 @@ def fly_fixed(row: FixedWing) -> Off:
         sent += 1
         index = route.ahead(nearest, row.lead_m)
         if row.kind == "reposition":
-            place = rig.place(*route.point(index), _PLANE_HEIGHT_M)
-            rig.command(192, -1.0, 1.0, 0.0, NAN, *place, frame=5)
+            rig.reposition(*route.point(index), _PLANE_HEIGHT_M)
             return
         if sent == 3:
-            rig.command(176, 1.0, *OFFBOARD)
+            rig.set_mode("Offboard")
         way, bend = route.bends(index)
         lateral = _ASKED_M_S**2 * bend * (-1.0 if row.kind == "pos + vel - acc" else 1.0)
         vectors = _flat(_ASKED_M_S * way, 0.0), _flat(1j * lateral * way, 0.0)

@@ -9,53 +9,32 @@ import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 import numpy as np
+from harness import Heard, Rig
 from numpy.typing import NDArray
-from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.errors import InputError
+from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.parameters import Firmware
-from vehicle_sim.simulation import Simulation
-from vehicle_sim.world import LidarTable, Tree, VehicleKind, World, flat_world
+from vehicle_sim.world import VehicleKind
 
 _HEARTBEAT, _GPS_RAW, _ATTITUDE, _GLOBAL, _ORIGIN, _HOME = 0, 24, 30, 33, 49, 242
 _STAMPED = {30, 32, 33}
 """ATTITUDE, LOCAL_POSITION_NED and GLOBAL_POSITION_INT begin with time_boot_ms."""
 _FIRMWARES: dict[int, Firmware] = {3: "ardupilot", 12: "px4"}
 _FIXED_WING, _ARMED, _FIX_3D = 1, 0x80, 3
-_DECODER = mavlink.MAVLink(None)
 FloatArray = NDArray[np.float64]
-
-
-class TimedFrame(NamedTuple):
-    """A frame, and when it was on the wire in seconds."""
-
-    time_s: float
-    number: int
-    """Of the message."""
-    system: int
-    component: int
-    frame: bytes
-
-
-def heard(time_s: float, frame: bytes) -> TimedFrame:
-    """A frame with its identity read from its head."""
-    return TimedFrame(time_s, int.from_bytes(frame[7:10], "little"), frame[5], frame[6], frame)
-
-
-def decoded(one: TimedFrame) -> Any:
-    return _DECODER.decode(bytearray(one.frame))
 
 
 class Side:
     """Everything that one autopilot said, by message."""
 
-    def __init__(self, said: Iterable[TimedFrame]) -> None:
-        self._frames = dict[int, list[TimedFrame]]()
+    def __init__(self, said: Iterable[Heard]) -> None:
+        self._frames = dict[int, list[Heard]]()
         for one in said:
             self._frames.setdefault(one.number, []).append(one)
         self.of = functools.cache(self._of)
@@ -65,11 +44,11 @@ class Side:
     def numbers(self) -> set[int]:
         return set(self._frames)
 
-    def heard(self, number: int) -> Sequence[TimedFrame]:
+    def heard(self, number: int) -> Sequence[Heard]:
         return self._frames.get(number, ())
 
     def _of(self, number: int) -> Sequence[tuple[float, Any]]:
-        return [(one.time_s, decoded(one)) for one in self.heard(number)]
+        return [(one.at_s, one.message) for one in self.heard(number)]
 
 
 # --- log time and vehicle time --------------------------------------------------------------------
@@ -124,9 +103,9 @@ class Recording:
     kind: VehicleKind
     system: int
     home: Place
-    sent: Sequence[TimedFrame]
+    sent: Sequence[Heard]
     """By the clients: everything that does not come from the autopilot."""
-    said: Sequence[TimedFrame]
+    said: Sequence[Heard]
     """By the autopilot."""
     begin_s: float
     end_s: float
@@ -162,42 +141,42 @@ def read_recording(path: Path) -> Recording:
         rule = f"cannot be read ({getattr(error, 'strerror', error)})"
         raise InputError("LOG", str(path), rule, "Name a .tlog or .tlog.xz.") from None
     told = list(records(data, str(path)))
-    raw = [heard((time_us - told[0][0]) * 1e-6, frame) for time_us, frame in told]
+    raw = [Heard((time_us - told[0][0]) * 1e-6, frame) for time_us, frame in told]
     beats = (one for one in raw if one.number == _HEARTBEAT)
-    beat = next((one for one in beats if decoded(one).autopilot in _FIRMWARES), None)
+    beat = next((one for one in beats if one.message.autopilot in _FIRMWARES), None)
     if beat is None:
         rule = "no autopilot of ArduPilot or PX4 speaks in it"
         raise InputError("LOG", str(path), rule, "Name the recording of a flight.")
     clock = Clock(
         # zeros at the end of a payload are left out
-        (one.time_s, int.from_bytes(one.frame[10 : 10 + min(4, one.frame[1])], "little") * 1e-3)
+        (one.at_s, int.from_bytes(one.frame[10 : 10 + min(4, one.frame[1])], "little") * 1e-3)
         for one in raw
-        if one.number in _STAMPED and one[2:4] == beat[2:4]
+        if one.number in _STAMPED and one.source == beat.source
     )
-    timed = [one._replace(time_s=clock.vehicle_s(one.time_s)) for one in raw]
-    said = [one for one in timed if one[2:4] == beat[2:4]]
-    message = decoded(beat)
+    timed = [Heard(clock.vehicle_s(one.at_s), one.frame) for one in raw]
+    said = [one for one in timed if one.source == beat.source]
+    message = beat.message
     return Recording(
         name=path.name.removesuffix(".xz"),
         firmware=_FIRMWARES[message.autopilot],
         kind="plane" if message.type == _FIXED_WING else "copter",
-        system=beat.system,
+        system=beat.source[0],
         home=_home(said),
-        sent=[one for one in timed if one[2:4] != beat[2:4]],
+        sent=[one for one in timed if one.source != beat.source],
         said=said,
-        begin_s=timed[0].time_s,
-        end_s=timed[-1].time_s,
+        begin_s=timed[0].at_s,
+        end_s=timed[-1].at_s,
         clock=clock,
     )
 
 
-def _home(said: Iterable[TimedFrame]) -> Place:
+def _home(said: Iterable[Heard]) -> Place:
     """From HOME_POSITION, or else the estimator's origin, or else the first fix."""
     found, yaw_rad = dict[int, Any](), 0.0
     for one in said:
         if one.number not in (_HEARTBEAT, _ATTITUDE, _HOME, _ORIGIN, _GPS_RAW):
             continue
-        m = decoded(one)
+        m = one.message
         if one.number == _HEARTBEAT and m.base_mode & _ARMED:
             break  # it has stood still until now
         if one.number == _ATTITUDE:
@@ -307,46 +286,34 @@ def flight_of(recording: Recording) -> Flight:
 
 # --- the client's half of it into a simulation, in vehicle time -----------------------------------
 
-_LINK = 0
 _POST_M = 1000.0
+_INSTANT_S = 1e-6
 
 
-def play(recording: Recording, flight: Flight, *, seed: int = 0) -> list[TimedFrame]:
+def play(recording: Recording, flight: Flight) -> list[Heard]:
     """Everything that the simulated vehicle says while the recorded client flies it.
 
     A frame goes in at the first step that is not before its time.  Before the recording begins
     the vehicle boots alone, and what it says then was not recorded either.
     """
-    faults = timeline(recording, flight)
-    flying = Simulation(world_of(recording, flight), seed=seed, faults=faults)
-    begin_us, end_us = (round(t * 1e6) for t in (recording.begin_s, recording.end_s))
-    waiting = [(round(one.time_s * 1e6), one.frame) for one in reversed(recording.sent)]
-    placed_us = math.inf
+    rig, placed_s = rig_of(recording, flight), math.inf
     if flight.placed_at_s is not None:
-        placed_us = round(recording.clock.vehicle_s(flight.placed_at_s) * 1e6)
-    back = list[TimedFrame]()
-
-    def take() -> None:
-        for link, frame in flying.take_frames():
-            if link == _LINK and flying.now_us >= begin_us:
-                back.append(heard(flying.now_us * 1e-6, frame))
-
-    while flying.now_us <= end_us:
-        if placed_us <= flying.now_us:
-            _place(flying.vehicle, recording, flight, placed_us * 1e-6)
-            placed_us = math.inf
-        while waiting and waiting[-1][0] <= flying.now_us:
-            flying.receive(_LINK, waiting.pop()[1])
-            take()
-        flying.step()
-        take()
-    return back
+        placed_s = recording.clock.vehicle_s(flight.placed_at_s)
+    waiting = list(reversed(recording.sent))
+    while rig.now_s <= recording.end_s:
+        if placed_s <= rig.now_s:
+            _place(rig.vehicle, recording, flight, placed_s)
+            placed_s = math.inf
+        while waiting and waiting[-1].at_s <= rig.now_s + _INSTANT_S:
+            rig.put(waiting.pop().frame)
+        rig.step()
+    return [each for each in rig.heard if each.link == 0 and each.at_s >= recording.begin_s]
 
 
 def _place(vehicle: Vehicle, recording: Recording, flight: Flight, at_s: float) -> None:
     """Put the vehicle where the real one was at this vehicle time."""
-    newest = {one.number: one for one in recording.said if one.time_s <= at_s}
-    position, attitude = decoded(newest[_GLOBAL]), decoded(newest[_ATTITUDE])
+    newest = {one.number: one for one in recording.said if one.at_s <= at_s}
+    position, attitude = newest[_GLOBAL].message, newest[_ATTITUDE].message
     vehicle.latitude_deg, vehicle.longitude_deg = position.lat / 1e7, position.lon / 1e7
     vehicle.altitude_amsl_m = flight.home.altitude_amsl_m + position.relative_alt / 1e3
     vehicle.velocity_m_s = complex(position.vx / 1e2, position.vy / 1e2)
@@ -356,21 +323,21 @@ def _place(vehicle: Vehicle, recording: Recording, flight: Flight, at_s: float) 
     vehicle.roll_rad = attitude.roll
 
 
-def world_of(recording: Recording, flight: Flight) -> World:
-    """Level ground at home with a vehicle of that kind, and with the posts around it."""
-    home, posts = msgspec.structs.asdict(flight.home), flight.posts
-    world = flat_world(recording.kind, recording.firmware, **home, system_id=recording.system)
-    vehicle = world.vehicle.model_copy(update={"parameters": dict(flight.parameters)})
-    world = world.model_copy(update={"vehicle": vehicle})
-    if posts is None:
-        return world
-    home_deg = (flight.home.latitude_deg, flight.home.longitude_deg)
-    metres = (posts.metres_per_latitude, posts.metres_per_longitude)
-    at_deg = np.array(home_deg) + posts.places_ne_m() / metres
-    size = {"radius_m": posts.radius_m, "height_m": _POST_M}
-    places = zip(*world.frame.to_local_many(*at_deg.T), strict=True)
-    trees = tuple(Tree(north_m=float(n), east_m=float(e), **size) for n, e in places)
-    return world.model_copy(update={"trees": trees, "lidar": LidarTable(**flight.lidar)})
+def rig_of(recording: Recording, flight: Flight) -> Rig:
+    """A vehicle of that kind at home, with the posts around it."""
+    home, posts, told = flight.home, flight.posts, dict[str, Any](flight.parameters)
+    place = (home.latitude_deg, home.longitude_deg, home.altitude_amsl_m)
+    if posts is not None:
+        metres = (posts.metres_per_latitude, posts.metres_per_longitude)
+        at_deg = np.array(place[:2]) + posts.places_ne_m() / metres
+        frame = LocalFrame(latitude_deg=place[0], longitude_deg=place[1])
+        size = {"radius_m": posts.radius_m, "height_m": _POST_M}
+        places = zip(*frame.to_local_many(*at_deg.T), strict=True)
+        told["trees"] = [{"north_m": float(n), "east_m": float(e)} | size for n, e in places]
+        told["lidar"] = flight.lidar
+    told |= {"heading_deg": home.heading_deg, "system_id": recording.system}
+    faults = timeline(recording, flight)
+    return Rig(recording.firmware, recording.kind, place, faults=faults, **told)
 
 
 def timeline(recording: Recording, flight: Flight) -> str:

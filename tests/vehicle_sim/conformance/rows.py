@@ -9,9 +9,10 @@ from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from typing import Any, TypeVar
 
+from harness import Heard
 from pymavlink.dialects.v20 import all as mavlink
 
-from conformance.flights import Flight, Reason, Recording, Side, TimedFrame, decoded
+from conformance.flights import Flight, Reason, Recording, Side
 
 Key = TypeVar("Key", bound=Hashable)
 Event = tuple[float, Key]
@@ -99,22 +100,22 @@ def _causes(recording: Recording, flight: Flight) -> Iterator[float]:
     """
     before, stream, stream_s = None, None, -math.inf
     for one in recording.sent:
-        pauses = one.time_s - stream_s > _STREAM_GAP_S
+        pauses = one.at_s - stream_s > _STREAM_GAP_S
         if one.number in _COMMANDS or one.number == _MODE:
-            number = -1 if one.number == _MODE else decoded(one).command
+            number = -1 if one.number == _MODE else one.message.command
             if number not in _REQUESTS and (number != before or number == 176):
-                yield one.time_s
+                yield one.at_s
                 before = number
         elif one.number == _PARAM_SET:
-            yield one.time_s
+            yield one.at_s
         if pauses and stream is not None and one.number in {*_COMMANDS, _MODE, *_SETPOINTS}:
             yield stream_s
         if one.number in _SETPOINTS:
-            message = decoded(one)
+            message = one.message
             kind = (one.number, message.coordinate_frame, message.type_mask)
             if pauses or kind != stream:
-                yield one.time_s
-            stream, stream_s = kind, one.time_s
+                yield one.at_s
+            stream, stream_s = kind, one.at_s
     for fault in flight.faults:
         yield from map(recording.clock.vehicle_s, (fault.begin_s, fault.end_s))
 
@@ -193,7 +194,7 @@ Answers = list[tuple[float, int]]
 
 def ack_rows(comparison: Comparison) -> Iterator[Row]:
     """A row for each command: the results of its COMMAND_ACKs in order, and their times."""
-    messages = [(o.time_s, decoded(o)) for o in comparison.recording.sent if o.number in _COMMANDS]
+    messages = [(o.at_s, o.message) for o in comparison.recording.sent if o.number in _COMMANDS]
     sent = [(time_s, message.command) for time_s, message in messages]
     ours, theirs = (_answers(sent, side.of(_ACK)) for side in comparison.sides)
     often = Counter(command for _, command in sent)
@@ -354,7 +355,7 @@ def state_rows(comparison: Comparison) -> Iterator[Row]:
     )
     for kind, number, told in states:
         matches = paired(*(changes(side.of(number), told) for side in comparison.sides))
-        seen_s = interval_s([one.time_s for one in comparison.real.heard(number)])
+        seen_s = interval_s([one.at_s for one in comparison.real.heard(number)])
         yield from timed_rows(comparison, kind, matches, min(seen_s, _SLOWEST_S))
 
 
@@ -386,7 +387,7 @@ def stream_rows(comparison: Comparison) -> Iterator[Row]:
     """Rows for every message of _READ that either side says."""
     for number in sorted(_READ & (comparison.real.numbers | comparison.simulated.numbers)):
         name = message_name(number)
-        real, simulated = ([o.time_s for o in s.heard(number)] for s in comparison.sides)
+        real, simulated = ([o.at_s for o in s.heard(number)] for s in comparison.sides)
         usual_s = interval_s(real)
         is_stream = number != _ACK and len(real) >= _STREAM
         allowed = max(COUNT_LEAST, COUNT_PART * len(real))
@@ -415,9 +416,9 @@ def _longest_gap(times: Sequence[float]) -> tuple[float, float]:
     return max(gaps, default=(0.0, times[0]))
 
 
-def _sample(said: Sequence[TimedFrame]) -> list[Any]:
+def _sample(said: Sequence[Heard]) -> list[Any]:
     """At most _SAMPLES messages, evenly spread."""
-    return [decoded(one) for one in said[:: max(1, -(-len(said) // _SAMPLES))]]
+    return [one.message for one in said[:: max(1, -(-len(said) // _SAMPLES))]]
 
 
 def _filling_row(name: str, real: Sequence[Any], simulated: Sequence[Any]) -> Row:

@@ -1,18 +1,23 @@
-"""A flight agrees with itself, not with another one, and each kind of row can fail."""
+"""A flight agrees with itself, not with another one, each kind of row can fail; and the clock."""
 
+import copy
 import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
+import numpy as np
 import pytest
+from harness import Heard
+from hypothesis import given
+from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 
 from conformance import compare
-from conformance.flights import Recording, Side, TimedFrame, decoded, flight_of
+from conformance.flights import Clock, Recording, Side, flight_of
 from conformance.rows import Row
 
 Recorded = Callable[[str], Recording]
-Change = Callable[[TimedFrame], Iterable[TimedFrame]]
+Change = Callable[[Heard], Iterable[Heard]]
 COPTER, PX4, PLANE = (
     "arducopter-gps-loss.tlog",
     "px4-gps-loss.tlog",
@@ -33,6 +38,9 @@ def test_a_flight_agrees_with_itself_not_with_another_one_and_silence_with_nothi
     recorded: Recorded, name: str
 ) -> None:
     flight = recorded(name)
+    for reason in flight_of(flight).reasons:  # they are narrow, and say something
+        assert len(reason.why) > 20
+        assert not reason.names == reason.shown == ".*"
     rows = rows_of(flight, flight.side)
     assert [row for row in rows if not row.agrees] == []
     assert max(row.difference for row in rows) == 0.0
@@ -46,20 +54,19 @@ def test_a_flight_agrees_with_itself_not_with_another_one_and_silence_with_nothi
 # --- each kind of row can fail --------------------------------------------------------------------
 
 
-def with_fields(h: TimedFrame, **fields: Any) -> TimedFrame:
+def with_fields(h: Heard, **fields: Any) -> Heard:
     """The same frame but for these fields."""
-    message = decoded(h)
+    message = copy.copy(h.message)
     for name, value in fields.items():
         setattr(message, name, value)
-    mav = mavlink.MAVLink(None, srcSystem=h.system, srcComponent=h.component)
-    return h._replace(frame=bytes(message.pack(mav)))
+    return Heard(h.at_s, bytes(message.pack(mavlink.MAVLink(None, *h.source))))
 
 
 def at(number: int, begin_s: float, end_s: float, change: Change) -> Change:
     """The change to messages of this number between these times."""
 
-    def changed(h: TimedFrame) -> Iterable[TimedFrame]:
-        return change(h) if h.number == number and begin_s <= h.time_s < end_s else (h,)
+    def changed(h: Heard) -> Iterable[Heard]:
+        return change(h) if h.number == number and begin_s <= h.at_s < end_s else (h,)
 
     return changed
 
@@ -69,10 +76,10 @@ def setting(**fields: Any) -> Change:
 
 
 def adding(**steps: Any) -> Change:
-    return lambda h: (with_fields(h, **{n: getattr(decoded(h), n) + s for n, s in steps.items()}),)
+    return lambda h: (with_fields(h, **{n: getattr(h.message, n) + s for n, s in steps.items()}),)
 
 
-def lost(h: TimedFrame) -> Iterable[TimedFrame]:  # noqa: ARG001
+def lost(h: Heard) -> Iterable[Heard]:  # noqa: ARG001
     return ()
 
 
@@ -121,7 +128,7 @@ def test_all_kinds_of_rows_fail_when_all_that_they_look_at_is_changed(
         if name == name_of:
             said = [changed for h in said for changed in change(h)]
             kinds.add(kind)
-    assert kinds <= failing(rows_of(flight, Side(sorted(said, key=lambda h: h.time_s))))
+    assert kinds <= failing(rows_of(flight, Side(sorted(said, key=lambda h: h.at_s))))
 
 
 def test_every_kind_of_row_has_been_made_to_fail(recorded: Recorded) -> None:
@@ -130,4 +137,22 @@ def test_every_kind_of_row_has_been_made_to_fail(recorded: Recorded) -> None:
     assert kinds == {kind for kind, *_ in CHANGES}
 
 
-# --- pairing --------------------------------------------------------------------------------------
+# --- log time and vehicle time --------------------------------------------------------------------
+
+
+@given(
+    rate=st.floats(0.95, 1.05),
+    offset_s=st.floats(-5.0, 5.0),
+    late_s=st.lists(st.floats(0.0, 0.3), min_size=50, max_size=50),
+)
+def test_the_clock_finds_rate_and_offset_whatever_waited(
+    rate: float, offset_s: float, late_s: list[float]
+) -> None:
+    """One stamp in five did not wait."""
+    stamps = []
+    for i, wait_s in enumerate(late_s):
+        log_s = 0.2 * i
+        stamps.append((log_s + (0.0 if i % 5 == 0 else wait_s), offset_s + rate * log_s))
+    clock = Clock(stamps)
+    for log_s in np.linspace(0.0, 9.0, 19):
+        assert clock.vehicle_s(log_s) == pytest.approx(offset_s + rate * log_s, abs=0.31 * rate)

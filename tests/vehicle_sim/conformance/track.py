@@ -6,7 +6,8 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
-from conformance.flights import TimedFrame, decoded
+from harness import Heard
+
 from conformance.rows import NOTHING, Comparison, Row, changes, message_name, row
 from vehicle_sim.geodesy import metres_per_degree
 
@@ -255,15 +256,15 @@ def _binned(
             yield Row(kind, name, message, shown, difference, begin_s)
 
 
-def _beside(said: Sequence[TimedFrame]) -> Callable[[float], Any]:
+def _beside(said: Sequence[Heard]) -> Callable[[float], Any]:
     """The message nearest to a time; None if there is none beside it."""
-    times = [one.time_s for one in said]
+    times = [one.at_s for one in said]
 
     def at(time_s: float) -> Any:
         place = bisect.bisect_left(times, time_s)
         near = said[max(place - 1, 0) : place + 1]
-        best = min(near, key=lambda one: abs(one.time_s - time_s), default=None)
-        return decoded(best) if best and abs(best.time_s - time_s) <= _BESIDE_S else None
+        best = min(near, key=lambda one: abs(one.at_s - time_s), default=None)
+        return best.message if best and abs(best.at_s - time_s) <= _BESIDE_S else None
 
     return at
 
