@@ -184,7 +184,7 @@ def test_what_does_not_come_is_asked_for_again_and_given_up_in_the_end(firmware:
     assert 8.0 < end.at_s - begin_s < 9.5
     assert vehicle.simulation.plans[FENCE] == old
     # a question that was lost, and its client waits for it
-    vehicle.send(count(1, FENCE))
+    vehicle.send(count(1, FENCE), source=GCS)
     vehicle.simulation.take_frames()
     began = len(vehicle.heard)
     vehicle.run(1.5)
