@@ -117,6 +117,8 @@ class StubSession:
 
     def part_died(self, part: str, error: str) -> None:
         self.died.append((part, error))
+        self.out.frames.append(HOLD)
+        self.out.record.append((self.now_s, HOLD))
         self.out.journal.append({"t_s": self.now_s, "kind": "end", "reason": part})
         self.end = End(outcome=Outcome.FAILED, reason=f"{part} died", remedy="")
 

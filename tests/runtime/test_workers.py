@@ -14,6 +14,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import odd_planners
 import pytest
 from stub_session import (
     HEARTBEAT,
@@ -28,10 +29,9 @@ from stub_session import (
 
 from companion.mavlink.link import Output
 from companion.mission.events import End, Outcome
-from companion.planner.request import PlanRequest
 from companion.runtime import loop, planner_process, recorder, watchdog
 from companion.runtime.compiler import load_libraries
-from companion.runtime.planner_process import PlannerProcess
+from companion.runtime.planner_process import PlannerHere, PlannerProcess
 from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.run_folder import RunFolder
 
@@ -48,12 +48,13 @@ class Rig:
 
     def __init__(self, folder: RunFolder) -> None:
         self.session, self.folder = StubSession(), folder
+        self.request = request_of(1)
         self.link = QueueLink(time.monotonic)
         self.flown: FlightSummary | None = None
         self.broken_s = math.inf
         self.options: dict[str, Any] = {
             "lockstep": False,
-            "planner": lambda _request, _stop: "planned",
+            "planner": PlannerHere(odd_planners.echoes),
         }
         self.once_flying: Callable[[], None] = lambda: None
         """What happens once setpoints are streamed."""
@@ -79,6 +80,11 @@ class Rig:
     def at(self, number: int, does: Callable[[], None]) -> None:
         """What the session does with that datagram."""
         self.session.on_datagram = lambda _session, k: does() if k == number else None
+
+    def asks(self, fails_s: float) -> None:
+        """For a plan, of a planner that fails after so long."""
+        self.broken_s = time.monotonic() + fails_s
+        self.session.ask(self.request)
 
     @contextmanager
     def flying(self) -> Iterator[None]:
@@ -137,39 +143,6 @@ def broken(rig: Rig, error: Exception) -> Callable[..., Any]:
     return breaks
 
 
-def planner_raises(rig: Rig) -> tuple[str, str]:
-    rig.options["planner"] = broken(rig, ZeroDivisionError("made up"))
-    rig.at(10, lambda: rig.session.ask(request_of(1)))
-    return "planner", "ZeroDivisionError: made up"
-
-
-def planner_stands_still(rig: Rig) -> tuple[str, str]:
-    """An endless loop that computes: it must not take the others' share of the interpreter."""
-
-    def endless(request: PlanRequest, _stop: object) -> Any:
-        rig.broken_s = time.monotonic() + request.task.settings.planning_time_s + SLACK_S
-        while not rig.released.is_set():
-            pass
-
-    rig.options["planner"] = endless
-    rig.at(10, lambda: rig.session.ask(request_of(1)))
-    return "planner", "stood still"
-
-
-def planner_is_killed(rig: Rig) -> tuple[str, str]:
-    """Its process, while nobody asks it anything."""
-    planner = rig.options["planner"] = PlannerProcess()
-
-    def kill() -> None:
-        rig.link.wait_until(lambda: planner.is_ready)
-        rig.breaks_now()
-        assert planner.pid is not None
-        os.kill(planner.pid, signal.SIGKILL)
-
-    rig.once_flying = kill
-    return "planner", "its process has ended (SIGKILL)"
-
-
 def session_raises(rig: Rig) -> tuple[str, str]:
     rig.at(BREAKS_AT, broken(rig, OSError("made up")))
     return "decider", "OSError: made up"
@@ -202,10 +175,51 @@ def session_stands_still(rig: Rig) -> tuple[str, str]:
 
 
 DEATHS = [
-    *(planner_raises, planner_stands_still, planner_is_killed),
     *(session_raises, session_raises_in_lockstep, session_raises_and_cannot_even_say_hold),
     session_stands_still,
 ]
+
+
+def planner_raises(rig: Rig) -> str:
+    rig.options["planner"] = PlannerProcess(odd_planners.raises, odd_planners.nothing)
+    rig.at(10, lambda: rig.asks(0.0))
+    return "ZeroDivisionError: made up"
+
+
+def planner_stands_still(rig: Rig) -> str:
+    rig.options["planner"] = PlannerProcess(odd_planners.never_ends, odd_planners.nothing)
+    rig.at(10, lambda: rig.asks(0.5 + SLACK_S))
+    return "it has stood still"
+
+
+def planner_is_killed(rig: Rig) -> str:
+    """Its process, while nobody asks it anything."""
+    planner = rig.options["planner"] = PlannerProcess(odd_planners.echoes, odd_planners.nothing)
+
+    def kill() -> None:
+        rig.breaks_now()
+        assert planner.process is not None
+        assert planner.process.pid is not None
+        os.kill(planner.process.pid, signal.SIGKILL)
+
+    rig.once_flying = kill
+    return "its process has ended (SIGKILL)"
+
+
+@pytest.mark.parametrize("death", [planner_raises, planner_stands_still, planner_is_killed])
+def test_once_its_planner_has_failed_nothing_more_is_streamed_and_the_vehicle_is_told_to_hold(
+    rig: Rig, death: Callable[[Rig], str]
+) -> None:
+    """The session itself says so, and ends."""
+    error = death(rig)
+    with rig.flying():
+        rig.once_flying()
+        assert rig.end.outcome is Outcome.FAILED
+    assert rig.session.died == [("planner", error)]
+    [hold_s] = rig.link.times_of(HOLD)
+    assert hold_s - rig.broken_s < BAR_S
+    assert rig.link.times_of(SETPOINT)[-1] <= hold_s
+    assert rig.longest_gap_s < BAR_S
 
 
 def assert_held(rig: Rig, part: str, error: str) -> None:
@@ -236,21 +250,18 @@ def test_whatever_dies_nothing_more_is_streamed_and_the_vehicle_is_told_to_hold(
         sent = len(rig.link.sent)
         rig.released.set()  # what it says now leaves no more
     assert len(rig.link.sent) == sent
-    if death is planner_stands_still:
-        assert rig.longest_gap_s < BAR_S
-        assert rig.link.times_of(SETPOINT)[-1] > rig.broken_s - 0.2  # until then it streamed
-    told = [name for name, _ in rig.session.died]
-    assert part != "planner" or told == [part]
-    assert error.startswith("stood") or part != "decider" or told == []  # it cannot be told
+    assert error.startswith("stood") or rig.session.died == []  # it cannot be told
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_watchdog_that_has_died_itself(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(_watchdog: object, _elapsed_s: float) -> None:
-        if rig.broken_s < time.monotonic():
+def test_a_watchdog_that_has_died_itself(rig: Rig) -> None:
+    def clock() -> float:
+        now_s = time.monotonic()
+        if threading.current_thread().name == "watchdog" and rig.broken_s < now_s:
             raise MemoryError("made up")
+        return now_s
 
-    monkeypatch.setattr(watchdog.Watchdog, "_look", broken)
+    rig.options["clock"] = clock
     with rig.flying():
         rig.breaks_now()
         assert_held(rig, "watchdog", "its thread has ended")
@@ -302,22 +313,6 @@ def test_a_setpoint_that_took_too_long_is_not_sent(rig: Rig) -> None:
     assert rig.link.times_of(HOLD) == []
     sent_s = next(at_s for at_s in rig.link.times_of(SETPOINT) if at_s > took_s[0])
     assert any(took_s[0] < at_s <= sent_s for at_s in rig.session.arrived_s)  # it answers that one
-
-
-def test_of_two_plans_that_are_asked_for_only_the_newer_counts(rig: Rig) -> None:
-    def named(request: PlanRequest, stop: Callable[[], bool]) -> Any:
-        if request.plan_id == 1:
-            rig.link.wait_until(stop)  # it is told to stop as soon as nobody waits for it
-        return request.plan_id
-
-    def asks(session: StubSession, number: int) -> None:
-        if number in (10, 12):
-            session.ask(request_of(1 if number == 10 else 2, planning_time_s=1000.0))
-
-    rig.options["planner"], rig.session.on_datagram = named, asks
-    with rig.flying():
-        rig.link.wait_until(lambda: bool(rig.session.delivered))
-    assert rig.session.delivered == [2]
 
 
 # --- the disk: a flight goes on without it
@@ -421,12 +416,10 @@ def test_what_waits_for_a_slow_disk_has_an_end(
     monkeypatch.setattr(folder, "frames", lambda _stamped: released.wait())
     writes = recorder.Recorder(folder, time.monotonic, lambda _failure: None)
     writer = recorder.WriterThread(writes)
-    thread = threading.Thread(target=writer.run)
-    thread.start()
     for _ in range(1000):
         writer.put(Output(record=[(0.0, bytes(1000))]))
     assert folder.failure == "the disk is too slow"
     assert writer._put_bytes <= 101_000
     released.set()
     writer.close()
-    thread.join(PATIENCE_S)
+    assert not writer._thread.is_alive()
