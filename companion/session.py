@@ -141,8 +141,6 @@ class Session:
         self._mode_asked_at_s = self._kept_house_s = -math.inf
         self._due_s = -math.inf
         """When there is something to do in `_keep_house`, at the latest; -inf: at once."""
-        self._due_at_s = math.inf
-        """The same by the clock of the outside."""
         self._handlers: dict[int | None, Callable[[Incoming], None]] = {
             mission.scanner_component_id: self._on_radar,
             None if mission.near is None else mission.near.component_id: self._on_near,
@@ -159,7 +157,6 @@ class Session:
         if self._listeners:
             self._listeners[near_scanner.ATTITUDE].append(self._poses.on_attitude)
         self._silence_told_s = 0.0
-        self._at_s: float | None = None
         start = Start.of(self.context, resume, version=version)
         self._out.inputs.append(("start", start.values()))
         if resume is not None:
@@ -187,9 +184,8 @@ class Session:
     def receive(self, data: bytes, at_s: float | None = None) -> bool:
         """Receive bytes of the link; returns whether the autopilot was heard.
 
-        at_s: time of arrival, by any monotonic clock, for round trip times.
+        at_s: time of arrival, by any monotonic clock: a vehicle's clock may not go faster.
         """
-        self._at_s = at_s
         if self.signing is not None and at_s is not None:
             self.signing.on_time(at_s)
         messages = self.receiver.read(data, at_s)
@@ -423,8 +419,6 @@ class Session:
             for listen in self._listeners.get(number, ()):
                 listen(message, now_s)
             if number in TIME_ONLY_MESSAGES or number == _TIMESYNC:  # they tell only a time
-                if number == _TIMESYNC and message.tc1 != 0 and heard.at_s is not None:
-                    self._handle(vehicle.on_timesync(message, now_s, heard.at_s))
                 vehicle.count(number, now_s)
                 if self.near is not None and number == near_scanner.ATTITUDE:
                     self._handle(self.near.seen(now_s))
@@ -551,17 +545,15 @@ class Session:
 
     def _keep_house(self) -> None:
         """Periodic work: heartbeat, texts, repeated requests."""
-        now_s, before_s, at_s = self.clock.going_on_s, self._kept_house_s, self._at_s
+        now_s, before_s = self.clock.going_on_s, self._kept_house_s
         if now_s == before_s:
             return  # for a message of the same time
         self._kept_house_s = now_s
-        if before_s <= now_s < self._due_s - _ROUNDING_S and (
-            at_s is None or at_s < self._due_at_s - _ROUNDING_S
-        ):
+        if before_s <= now_s < self._due_s - _ROUNDING_S:
             return
         vehicle, component, is_over = self.vehicle, self._component, self._end is not None
         if vehicle is not None and self.state.stage.phase is not Phase.WAITING:
-            self._send_all(vehicle.on_time(now_s, at_s))
+            self._send_all(vehicle.on_time(now_s))
             for texts, warning in ((vehicle.warnings, True), (vehicle.notes, False)):
                 while texts:
                     self._send_text(texts.pop(0), warning=warning)
@@ -575,10 +567,9 @@ class Session:
         if is_over and now_s - self._mode_asked_at_s >= _MODE_AGAIN_S and not self._settled():
             for command in self._last_asked:
                 self._command(command)
-        self._due_s, self._due_at_s = -math.inf, math.inf  # the next time
+        self._due_s = -math.inf  # the next time
         if vehicle and component and not is_over and not self._texts.is_waiting:
             self._due_s = min(vehicle.due_s, component.due_s)
-            self._due_at_s = vehicle.due_at_s
 
     def _keep(self, *, at_once: bool = False) -> None:
         """A checkpoint when the mission has moved on, and the map when it has grown."""

@@ -56,7 +56,6 @@ class Header(Struct, frozen=True, kw_only=True):
 # Events and commands that are entries as they are, by their names here
 End = events.End
 Fence = events.FenceChanged
-LinkDelay = events.LinkDelay
 LinkLost = events.LinkLost
 PartDied = events.PlannerDied
 PlanLate = events.PlanLate

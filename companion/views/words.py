@@ -23,7 +23,6 @@ _WORDS: Final[dict[type[Entry], str]] = {
     noted.VehicleFound: "found {0.name}, system {0.system_id}",
     noted.VehicleSays: "vehicle: {0.text}",
     noted.VehicleRebooted: "the autopilot has rebooted",
-    noted.LinkDelay: "link delay: {0.round_trip_s:.3f} s to the vehicle and back",
     noted.LinkLost: "link lost: nothing was heard for {0.silent_s:g} s",
     noted.AnotherCompanion: "another companion uses the same ids",
     noted.MessagesDropped: "{0.count} messages dropped: they arrived faster than they are handled",
