@@ -278,13 +278,6 @@ class AnotherCompanion(Entry, frozen=True, kw_only=True, tag="another companion"
     """Another sender uses the companion's system and component id."""
 
 
-class MessagesDropped(Entry, frozen=True, kw_only=True, tag="messages dropped"):
-    """Messages arrived faster than they could be handled."""
-
-    count: int
-    """Messages, the oldest ones."""
-
-
 # --- what the companion does
 
 

@@ -108,11 +108,8 @@ class Loop:
 
     def lost(self, failure: Failure) -> None:
         """The recording is lost, or a part of it: the flight goes on; from any thread."""
-        if failure.part == WRITER:
-            self._calls.put(partial(self.session.recording_stopped, failure.error))
-        else:
-            text = f"{failure.part} is lost: {failure.error}"
-            self._calls.put(partial(self.session.complain, text))
+        what = "not recorded any more" if failure.part == WRITER else f"{failure.part} is lost"
+        self._calls.put(partial(self.session.complain, f"{what}: {failure.error}"))
 
     def run(self) -> None:
         """Run until the mission ends, or until stopped."""

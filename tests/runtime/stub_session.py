@@ -66,7 +66,6 @@ class StubSession:
     arrived_s: list[float] = field(default_factory=list)
     delivered: list[Any] = field(default_factory=list)
     died: list[tuple[str, str]] = field(default_factory=list)
-    stopped: list[str] = field(default_factory=list)
     silences_s: list[float] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
     end: End | None = None
@@ -124,9 +123,6 @@ class StubSession:
 
     def complain(self, text: str) -> None:
         self.complaints.append(text)
-
-    def recording_stopped(self, why: str) -> None:
-        self.stopped.append(why)
 
 
 class QueueLink(Link):
