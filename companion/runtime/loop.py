@@ -76,7 +76,8 @@ class Loop:
         self.record: Callable[[Output], None] = lambda _: None
         """Records what was done, now or soon."""
         self.flown = FlightSummary(session=session, asks_here=person is not None)
-        self.ended = threading.Event()
+        self.leaving, self.ended = threading.Event(), threading.Event()
+        """Set to have it end soon, and once it has."""
         self.gate = Gate(link, clock, session.signed)
         self.watchdog = Watchdog(
             self.gate,
@@ -91,7 +92,6 @@ class Loop:
         self._in_flight = in_flight
         self._calls: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         """What other threads have to tell the session in the next turn."""
-        self._leaving = threading.Event()
         self._stopping = False
         self._began_s = self._heard_s = math.nan
         self._read_s = math.nan
@@ -101,10 +101,6 @@ class Loop:
         self._track_at_s, self._track_every_s = -math.inf, _TRACK_S
         self._reserve_at_s = -math.inf
         self._ended_s = math.nan
-
-    def leave(self) -> None:
-        """End soon."""
-        self._leaving.set()
 
     def lost(self, failure: Failure) -> None:
         """The recording is lost, or a part of it: the flight goes on; from any thread."""
@@ -140,7 +136,7 @@ class Loop:
     @property
     def _goes_on(self) -> bool:
         """Whether the mission has not ended and nobody has said to leave."""
-        return self.flown.end is None and not self._leaving.is_set()
+        return self.flown.end is None and not self.leaving.is_set()
 
     def _await_planner(self) -> None:
         """While the planner is loaded send heartbeats and obey Ctrl-C, but drop what is heard.
@@ -153,7 +149,7 @@ class Loop:
             if not self._goes_on:
                 break
             self.flown.loads = True
-            self._beat()
+            self.watchdog.beat()
             if listens:
                 self.link.receive(_POLL_S)
             self._hear(0.0 if listens else _POLL_S)
@@ -177,11 +173,11 @@ class Loop:
         self.record(out)
 
     def _turn(self) -> None:
-        self._beat()
+        self.watchdog.beat()
         self._read()
         self._hear()
         out = self.session.run()
-        while out.awaits_plan and not self._leaving.is_set():
+        while out.awaits_plan and not self.leaving.is_set():
             self._carry_out(out)
             self._hear(_POLL_S)
             self._heard_s = self.clock()  # the vehicle was not silent: it was made to wait
@@ -189,10 +185,6 @@ class Loop:
         self._carry_out(out)
         if self.flown.heard:
             self.flown.elapsed_s = self.clock() - self._began_s
-
-    def _beat(self) -> None:
-        if not self._lockstep:  # where nobody watches for how long it stalls
-            self.watchdog.beat()
 
     # --- in
 
@@ -360,9 +352,9 @@ def fly(
 def _end(loop: Loop) -> None:
     """Always send the final frames, and record them."""
     if loop.watchdog.failure is None:
-        loop.leave()
+        loop.leaving.set()
     loop.ended.wait(_HELD_S)  # a loop that still runs tells the session, and notes what that does
-    loop.leave()
+    loop.leaving.set()
     loop.watchdog.end(_HELD_S)
     if (failure := loop.watchdog.failure) is not None:
         loop.flown.end, loop.flown.died = _end_of(failure, loop.flown.end), True

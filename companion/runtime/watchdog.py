@@ -139,8 +139,9 @@ class Watchdog:
 
     def beat(self) -> None:
         """The loop is alive; how soon it has to beat again depends on whether it streams."""
-        self._limit_s = self._gate.stall_limit_s()
-        self._beats += 1
+        if self._watches_time:
+            self._limit_s = self._gate.stall_limit_s()
+            self._beats += 1
 
     def check(self) -> None:
         """The loop is put on hold by the caller if the watchdog's own thread has died."""
