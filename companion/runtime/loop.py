@@ -30,7 +30,7 @@ from companion.runtime.link import Link
 from companion.runtime.planner_process import PlannerEndedError, PlannerHere, PlannerProcess
 from companion.runtime.recorder import WRITER, Recorder, WriterThread
 from companion.runtime.terminal import Terminal
-from companion.runtime.watchdog import Clock, Failure, Gate, Watchdog
+from companion.runtime.watchdog import DECIDER, Clock, Failure, Gate, Watchdog
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.run_folder import RunFolder
@@ -52,6 +52,7 @@ _MAX_PLANS: Final = 2_000
 _RESERVE_S: Final = 10.0
 _HELD_S: Final = 2.0  # for the watchdog to have told it to hold
 _PROGRESS_S: Final = 0.1
+_SHOWN_S: Final = 1.0  # for what is being shown at the end
 _COLLECT: Final = (50_000, 20, 50)  # allocations: rarely, for next to nothing here is a cycle
 _SWITCH_S: Final = 0.0005  # how long a thread that computes may keep one waiting that must answer
 
@@ -81,9 +82,8 @@ class Loop:
         self.gate = Gate(link, clock, session.signed)
         self.watchdog = Watchdog(
             self.gate,
+            session,
             clock=clock,
-            hold_frames=session.hold_frames,
-            final_text=session.final_text,
             on_failure=self._on_failure,
             watches_time=not lockstep,
         )
@@ -127,8 +127,10 @@ class Loop:
         except GeneratorExit:  # the caller has seen enough
             raise
         except BaseException as error:
+            said = f"{type(error).__name__}: {error}"
+            self.watchdog.died(said)
             with contextlib.suppress(Exception):  # the error itself is what counts
-                self._record_the_end(error)
+                self._record_the_end(error, said)
             raise
         finally:
             self.ended.set()
@@ -163,13 +165,13 @@ class Loop:
             if self.link.receive(0.0) is None:
                 break
 
-    def _record_the_end(self, error: BaseException) -> None:
+    def _record_the_end(self, error: BaseException, said: str) -> None:
         """Record the inputs before an error, to reproduce it."""
         out = self.session.take_output()
         _leave_out(out, [*range(len(out.frames))])
         frames = (frame for frame, _ in traceback.walk_tb(error.__traceback__))
         calls = (f.f_code.co_name for f in frames if f.f_locals.get("self") is self.session)
-        out.inputs.append(("raised", next(calls, ""), f"{type(error).__name__}: {error}"))
+        out.inputs.append(("raised", next(calls, ""), said))
         self.record(out)
 
     def _turn(self) -> None:
@@ -325,7 +327,7 @@ def fly(
     in_flight: the vehicle may be: it is listened to while the planner is still being loaded.
     persist: saves what must outlive the process; called every SAVE_EVERY_S (`keys`) and at the end.
     person: who may say go at the terminal; None: there is none.
-    on_progress is called in the caller's thread, stop_asked in another one.
+    The caller's thread watches; on_progress and stop_asked are called in threads of their own.
     """
     load_libraries()  # now, or it would delay setpoints
     planner = planner or PlannerProcess(hurries=not lockstep)
@@ -336,28 +338,37 @@ def fly(
     recorder = Recorder(folder, clock, loop.lost, persist)
     writer = recorder if lockstep else WriterThread(recorder)
     loop.record = writer.put
-    with prompt_threads():
-        loop.watchdog.watch(loop.run)
+    watchdog, raised = loop.watchdog, list[BaseException]()
+
+    def show() -> None:
         try:
-            while not loop.ended.wait(_PROGRESS_S) and loop.watchdog.failure is None:
-                loop.watchdog.check()
+            while not loop.ended.wait(_PROGRESS_S):
                 on_progress(loop.flown)
-        finally:
-            _end(loop)
-            planner.close()
-            writer.close()
+        except BaseException as error:  # noqa: BLE001 - it is raised below
+            raised.append(error)
+
+    def run() -> None:
+        with contextlib.suppress(BaseException):  # which the watchdog is told of
+            loop.run()
+
+    shows = threading.Thread(target=show, name="progress", daemon=True)
+    with prompt_threads(), contextlib.ExitStack() as at_end:
+        at_end.callback(writer.close)
+        at_end.callback(planner.close)
+        at_end.callback(loop.ended.wait, _HELD_S)  # always send the final frames, and record them
+        at_end.callback(loop.leaving.set)
+        threading.Thread(target=run, name=DECIDER, daemon=True).start()
+        shows.start()
+        watchdog.watch(loop.ended, lambda: bool(raised or watchdog.failure))
+        if watchdog.failure is None:
+            loop.leaving.set()
+        watchdog.watch(loop.ended, longest_s=_HELD_S)  # it tells the session of a failure
+    shows.join(_SHOWN_S)
+    if raised:
+        raise raised[0]
+    if watchdog.failure is not None:
+        loop.flown.end, loop.flown.died = _end_of(watchdog.failure, loop.flown.end), True
     return loop.flown
-
-
-def _end(loop: Loop) -> None:
-    """Always send the final frames, and record them."""
-    if loop.watchdog.failure is None:
-        loop.leaving.set()
-    loop.ended.wait(_HELD_S)  # a loop that still runs tells the session, and notes what that does
-    loop.leaving.set()
-    loop.watchdog.end(_HELD_S)
-    if (failure := loop.watchdog.failure) is not None:
-        loop.flown.end, loop.flown.died = _end_of(failure, loop.flown.end), True
 
 
 def _end_of(failure: Failure, end: End | None) -> End:

@@ -10,9 +10,10 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from typing import NamedTuple, final
+from typing import Final, NamedTuple, final
 
 from companion.runtime.link import Link, is_setpoint
+from companion.session import Session
 
 Clock = Callable[[], float]
 """Seconds that only ever grow, of this computer."""
@@ -29,6 +30,8 @@ _TICK_S = 0.025
 _HOLD_AGAIN_S = (0.0, 0.3, 0.7)
 """Waits before each time that the hold is sent: a datagram may get lost."""
 _LOCK_S = 0.05
+DECIDER: Final = "decider"
+"""The name of the loop, as a part."""
 
 
 class Failure(NamedTuple):
@@ -95,47 +98,29 @@ class Gate:
 
 @final
 class Watchdog:
-    """Supervises the loop in a thread of its own."""
+    """Looks after the loop from another thread: that of `watch`."""
 
     def __init__(
         self,
         gate: Gate,
+        session: Session,
         *,
         clock: Clock,
-        hold_frames: Callable[[], list[bytes]],
-        final_text: Callable[[str], list[bytes]],
         on_failure: Callable[[Failure, list[bytes]], None],
         watches_time: bool = True,
     ) -> None:
-        """A watchdog that is started by `watch`.
+        """on_failure: told of a death, and of the frames that are sent on it.
 
-        hold_frames: makes the frames that put the autopilot on hold; final_text: those with the
-        reason as text.  on_failure: told of the death, and of the frames that are sent on it.
         watches_time: False in lockstep, where nothing depends on wall time.
         """
         self.failure: Failure | None = None
         self.reserve: list[bytes] = []
         """Hold frames, sent if none can be made when needed."""
-        self._gate, self._clock = gate, clock
-        self._hold_frames, self._final_text = hold_frames, final_text
+        self._gate, self._session, self._clock = gate, session, clock
         self._on_failure, self._watches_time = on_failure, watches_time
+        self._error = ""
         self._limit_s, self._beats = math.inf, 0
-        self._first = threading.Lock()
-        self._wake, self._ended = threading.Event(), threading.Event()
-        self._thread = threading.Thread(target=self._run, name="watchdog", daemon=True)
-
-    def watch(self, loop: Callable[[], None]) -> None:
-        """Run the loop in a thread of its own, whose end is detected."""
-
-        def guarded() -> None:
-            try:
-                loop()
-            except BaseException as error:  # noqa: BLE001 - whatever it was, the loop is dead
-                self._died("decider", f"{type(error).__name__}: {error}")
-            self._limit_s = math.inf
-
-        self._thread.start()
-        threading.Thread(target=guarded, name="decider", daemon=True).start()
+        self._seen, self._seen_s, self._still_s = 0, math.nan, 0.0
 
     def beat(self) -> None:
         """The loop is alive; how soon it has to beat again depends on whether it streams."""
@@ -143,51 +128,46 @@ class Watchdog:
             self._limit_s = self._gate.stall_limit_s()
             self._beats += 1
 
-    def check(self) -> None:
-        """The loop is put on hold by the caller if the watchdog's own thread has died."""
-        if not self._thread.is_alive() and self.failure is None:
-            self._died("watchdog", "its thread has ended")
-            self._hold()
-
-    def end(self, timeout_s: float) -> None:
-        """Stop; a hold that is being sent is completed."""
-        self._ended.set()
-        if self.failure is None:
-            self._wake.set()
-        self._thread.join(timeout_s)
-
-    # --- its thread
-
-    def _run(self) -> None:
-        looked_s, still_s, seen = self._clock(), 0.0, self._beats
-        while not self._wake.wait(_TICK_S) and self._watches_time:
-            now_s = self._clock()
-            # A computer that was asleep, or too busy to look, says nothing about the loop.
-            still_s = 0.0 if seen != self._beats else still_s + min(now_s - looked_s, 2.0 * _TICK_S)
-            looked_s, seen = now_s, self._beats
-            if still_s > self._limit_s:
-                self._died("decider", f"it has stood still for {still_s:.1f} s")
-        self._wake.wait()
-        if self.failure is not None:
-            self._hold()
-
-    def _died(self, part: str, error: str) -> None:
-        if self._ended.is_set() or not self._first.acquire(blocking=False):
-            return  # it is over, or all is stopped already
+    def died(self, error: str) -> None:
+        """The loop ends with an error."""
         self._gate.shut()
-        self.failure = Failure(part, error)
-        self._wake.set()
+        self._error = error
 
-    def _hold(self) -> None:
-        """Put the vehicle on hold; the session is notified after its hold frames were made."""
-        assert self.failure is not None
+    def watch(
+        self,
+        ended: threading.Event,
+        enough: Callable[[], bool] = lambda: False,
+        longest_s: float = math.inf,
+    ) -> None:
+        """Watch the loop until it has ended; less if that is enough, or takes too long."""
+        self._seen_s, until_s = self._clock(), time.monotonic() + longest_s
+        while not (ended.wait(_TICK_S) or enough() or time.monotonic() > until_s):
+            self._look()
+        if self._error:
+            self._hold(self._error)
+
+    def _look(self) -> None:
+        now_s = self._clock()
+        # A computer that was asleep, or too busy to look, says nothing about the loop.
+        more_s = min(now_s - self._seen_s, 2.0 * _TICK_S)
+        self._still_s = 0.0 if self._seen != self._beats else self._still_s + more_s
+        self._seen, self._seen_s = self._beats, now_s
+        if self._still_s > self._limit_s:
+            self._hold(f"it has stood still for {self._still_s:.1f} s")
+
+    def _hold(self, error: str) -> None:
+        """Put the vehicle on hold, once; the session is notified after its frames were made."""
+        if self.failure is not None:
+            return
+        self._gate.shut()
+        self.failure = Failure(DECIDER, error)
         try:
-            frames = self._hold_frames()
+            frames = self._session.hold_frames()
         except Exception:  # noqa: BLE001 - the session is what may have died
             frames = self.reserve
         words: list[bytes] = []
         with contextlib.suppress(Exception):  # that it holds is what counts
-            words = self._final_text(f"the {self.failure.part} has died ({self.failure.error})")
+            words = self._session.final_text(f"the {DECIDER} has died ({error})")
         self._on_failure(self.failure, [*frames, *words])
         for wait_s in _HOLD_AGAIN_S:
             time.sleep(wait_s)

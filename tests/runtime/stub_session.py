@@ -69,6 +69,7 @@ class StubSession:
     silences_s: list[float] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
     end: End | None = None
+    has_left: bool = False
     mission: Any = field(default_factory=lambda: load_mission("valley"))
     state: Any = field(
         default_factory=lambda: SimpleNamespace(
@@ -91,7 +92,11 @@ class StubSession:
         out.end, out.settled = self.end, True
         return out
 
-    run = farewell = take_output
+    run = take_output
+
+    def farewell(self) -> Output:
+        self.has_left = True
+        return self.take_output()
 
     def signed(self, frames: list[bytes]) -> list[bytes]:
         return frames

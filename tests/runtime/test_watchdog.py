@@ -1,10 +1,11 @@
 """What the gate lets through and tells apart; `test_workers` has the watchdog at work."""
 
 import threading
+from types import SimpleNamespace
 
 import pytest
 from pymavlink.dialects.v20 import all as wire
-from stub_session import HEARTBEAT, HOLD, PATIENCE_S, SETPOINT, QueueLink, packed
+from stub_session import HEARTBEAT, HOLD, PATIENCE_S, SETPOINT, QueueLink, as_any, packed
 
 from companion.runtime.link import is_setpoint
 from companion.runtime.watchdog import IDLE_STALL_S, STALL_S, Failure, Gate, Watchdog
@@ -35,11 +36,11 @@ class Rig:
         self.link = QueueLink(self.clock)
         self.gate = Gate(self.link, self.clock)
         self.failures: list[tuple[Failure, list[bytes]]] = []
+        session = SimpleNamespace(hold_frames=lambda: [HOLD], final_text=lambda _why: [])
         self.watchdog = Watchdog(
             self.gate,
+            as_any(session),
             clock=self.clock,
-            hold_frames=lambda: [HOLD],
-            final_text=lambda _why: [],
             on_failure=lambda failure, hold: self.failures.append((failure, hold)),
         )
 
@@ -86,36 +87,28 @@ def test_a_link_that_is_stuck_in_the_middle_of_a_frame_does_not_keep_the_hold_ba
     thread.join()
 
 
-@pytest.mark.parametrize("ended", [False, True])
-def test_the_hold_is_sent_once_in_full_for_a_death_and_after_the_end_of_a_flight_nothing_is_one(
-    ended: bool,
-) -> None:
-    rig, dies = Rig(), threading.Event()
-
-    def work() -> None:
-        dies.wait()
-        raise OSError("made up")
-
-    rig.watchdog.watch(work)
-    [decider] = [each for each in threading.enumerate() if each.name == "decider"]
-    if ended:
-        rig.watchdog.end(PATIENCE_S)
-    dies.set()
-    decider.join(PATIENCE_S)
-    rig.watchdog.end(PATIENCE_S)
+@pytest.mark.parametrize("dies", [False, True])
+def test_the_hold_is_sent_once_in_full_for_a_death_and_not_for_an_end(dies: bool) -> None:
+    rig, ended = Rig(), threading.Event()
+    if dies:
+        rig.watchdog.died("OSError: made up")
+    ended.set()
+    for _ in range(2):
+        rig.watchdog.watch(ended)
     died = Failure(part="decider", error="OSError: made up")
-    assert rig.failures == ([] if ended else [(died, [HOLD])])
-    assert rig.watchdog.failure == (None if ended else died)
-    assert rig.frames() == ([] if ended else [HOLD] * 3)
-    assert rig.gate.is_shut is not ended
+    assert rig.failures == ([(died, [HOLD])] if dies else [])
+    assert rig.watchdog.failure == (died if dies else None)
+    assert rig.frames() == [HOLD] * 3 * dies
+    assert rig.gate.is_shut is dies
 
 
 def test_a_computer_that_was_asleep_for_a_minute_has_lost_nobody() -> None:
     """The watchdog slept as well: what it did not see is no sign of a death."""
-    rig, leaving = Rig(), threading.Event()
+    rig, ended = Rig(), threading.Event()
+    thread = threading.Thread(target=rig.watchdog.watch, args=(ended,))
     rig.gate.send([SETPOINT])
     rig.watchdog.beat()
-    rig.watchdog.watch(lambda: leaving.wait() and None)
+    thread.start()
     for _ in range(3):
         rig.wait_for_looks(1)  # its beat is seen, and it stands still from now on
         rig.goes_on(60.0)
@@ -123,8 +116,8 @@ def test_a_computer_that_was_asleep_for_a_minute_has_lost_nobody() -> None:
         rig.gate.send([SETPOINT])
         rig.watchdog.beat()
     assert rig.watchdog.failure is None
-    rig.watchdog.end(PATIENCE_S)
-    leaving.set()
+    ended.set()
+    thread.join(PATIENCE_S)
 
 
 def test_a_setpoint_is_not_sent_long_after_its_position_or_through_a_gate_that_is_shut() -> None:

@@ -52,7 +52,9 @@ class Rig:
         self.link = QueueLink(time.monotonic)
         self.flown: FlightSummary | None = None
         self.broken_s = math.inf
+        self.raised: BaseException | None = None
         self.options: dict[str, Any] = {
+            "on_progress": lambda _: None,
             "lockstep": False,
             "planner": PlannerHere(odd_planners.echoes),
         }
@@ -61,14 +63,17 @@ class Rig:
         self.released = threading.Event()
         """What has stood still goes on."""
         self._over = threading.Event()
-        self._threads = [threading.Thread(target=each) for each in (self._fly, self._speak)]
+        self.flies, speaks = (threading.Thread(target=each) for each in (self._fly, self._speak))
+        self._threads = [self.flies, speaks]
 
     def _fly(self) -> None:
         stop = self._over.is_set
-        self.flown = loop.fly(
-            as_any(self.session), self.link, self.folder,
-            on_progress=lambda _: None, stop_asked=stop, **self.options,
-        )  # fmt: skip
+        try:
+            self.flown = loop.fly(
+                as_any(self.session), self.link, self.folder, stop_asked=stop, **self.options
+            )
+        except BaseException as error:  # noqa: BLE001 - looked at by the test
+            self.raised = error
 
     def _speak(self) -> None:
         while not self._over.wait(PERIOD_S):
@@ -254,17 +259,44 @@ def test_whatever_dies_nothing_more_is_streamed_and_the_vehicle_is_told_to_hold(
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_watchdog_that_has_died_itself(rig: Rig) -> None:
+def test_a_watchdog_that_has_failed_itself_ends_the_flight_as_if_it_were_stopped(rig: Rig) -> None:
     def clock() -> float:
         now_s = time.monotonic()
-        if threading.current_thread().name == "watchdog" and rig.broken_s < now_s:
+        if threading.current_thread() is rig.flies and rig.broken_s < now_s:
             raise MemoryError("made up")
         return now_s
 
+    planner = rig.options["planner"] = PlannerProcess(odd_planners.echoes, odd_planners.nothing)
     rig.options["clock"] = clock
     with rig.flying():
         rig.breaks_now()
-        assert_held(rig, "watchdog", "its thread has ended")
+        rig.flies.join(PATIENCE_S)
+    assert isinstance(rig.raised, MemoryError)
+    assert rig.session.has_left
+    assert rig.session.died == []
+    assert planner.process is not None
+    assert not planner.process.is_alive()
+
+
+def test_what_fails_to_be_shown_ends_the_flight_and_is_raised(rig: Rig) -> None:
+    def show(_flown: object) -> None:
+        if rig.broken_s < time.monotonic():
+            raise BrokenPipeError
+
+    rig.options["on_progress"] = show
+    with rig.flying():
+        rig.breaks_now()
+        rig.flies.join(PATIENCE_S)
+    assert isinstance(rig.raised, BrokenPipeError)
+    assert rig.session.has_left
+
+
+def test_a_terminal_that_blocks_does_not_delay_the_stream(rig: Rig) -> None:
+    rig.options["on_progress"] = lambda _: rig.released.wait() and None
+    with rig.flying():
+        rig.streams_on()
+    assert rig.longest_gap_s < BAR_S
+    assert rig.end.outcome is Outcome.STOPPED
 
 
 def test_a_hold_that_does_not_get_out_is_tried_again(rig: Rig) -> None:
