@@ -401,9 +401,6 @@ def _flown(
     recalled: what there was of the flight that is gone on with; None: it is a new one.
     """
     console, began, lockstep = shows.console, datetime.now(UTC), session.context.lockstep
-    if lockstep:
-        with console.status(LOADS):
-            load_kernel()
     with contextlib.ExitStack() as until_shown:
         with (
             open_link(connect) as link,

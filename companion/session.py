@@ -15,7 +15,7 @@ that position until the plan is delivered (Output.awaits_plan), otherwise the pl
 """
 
 import math
-from collections import defaultdict, deque
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from operator import attrgetter
 from typing import Any, Final, final
@@ -63,11 +63,12 @@ _MOST_WAITING = 5000  # messages: 1.5 s of the busiest autopilot, and then the o
 _LOCKSTEP = 50  # TIMESYNC in 10 s, of a simulator that waits; an autopilot's own come every 10 s
 _EARLY_S = 10.0
 _ROUNDING_S = 1e-6  # a deadline that is looked at too early costs nothing
-_MODE_AGAIN_S = 1.0
+_AGAIN_S = 1.0
 _NO_VEHICLE_S = 10.0
 _SILENT_S = 3.0
 
 
+_Handler = Callable[[Incoming], None]
 _frame_of: Final = attrgetter("frame")
 
 
@@ -107,8 +108,6 @@ class Session:
         self.receiver = Receiver(signing, UNDECODED_MESSAGES - near_scanner.messages_of(mission))
         self._waiting: deque[Incoming] = deque(maxlen=_MOST_WAITING)
         """Received messages that have not been handled yet, in order."""
-        self._dropped = 0
-        """How many of them were too many."""
         self.signing = signing
         self._lockstep, self._version = lockstep, version
         before = None if resume is None else resume[0].get("system_id")
@@ -118,7 +117,6 @@ class Session:
         self._out = self._outbox.out
         self._texts = StatusTexts()
         self._poses = Poses(mission.frame)
-        """Kept while there is a sensor to be read with them."""
         self.near = None if mission.near is None else NearScanner(mission, self._poses)
         """Reads the sensor of near things, if that is the mission's scanner."""
         error_m = mission.rangefinder_error_m
@@ -138,33 +136,37 @@ class Session:
         """Whether it was landing for us then: what lands otherwise somebody has told to."""
         self._status: VehicleStatus | None = None
         """Its last heartbeat; at the end only one from after that."""
-        self._mode_asked_at_s = self._kept_house_s = -math.inf
-        self._due_s = -math.inf
-        """When there is something to do in `_keep_house`, at the latest; -inf: at once."""
-        self._due_at_s = math.inf
-        """The same by the clock of the outside."""
-        self._handlers: dict[int | None, Callable[[Incoming], None]] = {
-            mission.scanner_component_id: self._on_radar,
-            None if mission.near is None else mission.near.component_id: self._on_near,
-            AUTOPILOT_COMPONENT: self._on_autopilot,
-        }
-        """Of the messages of our vehicle's components, by their ids."""
-        self._listeners: dict[int, list[Callable[[Message, float], None]]] = defaultdict(list)
-        """Sensors that read messages of the autopilot, by number."""
-        if self.near is not None:
-            for number in near_scanner.OF_AUTOPILOT:
-                self._listeners[number].append(self.near.on_message)
-        if self.rangefinder is not None:
-            self._listeners[near_sensing.SECTORS].append(self.rangefinder.on_message)
-        if self._listeners:
-            self._listeners[near_scanner.ATTITUDE].append(self._poses.on_attitude)
+        self._asked_at_s = -math.inf
+        """When it was asked for a mode; before there is a vehicle, when our heartbeat was sent."""
+        self._handlers = self._table(mission)
+        self._clients = (self._serve_vehicle, self._beat, self._say, self._ask_again)
+        self._due_s = self._looked_s = -math.inf
+        """When the first of the clients is due, and when it was last looked whether one is."""
         self._silence_told_s = 0.0
-        self._at_s: float | None = None
         start = Start.of(self.context, resume, version=version)
         self._out.inputs.append(("start", start.values()))
         if resume is not None:
             kept = {key: resume[0][key] for key in checkpoint.LOST if key in resume[0]}
-            self._note("resumed", phase=resume[0].get("phase"), **kept)
+            self._note({"kind": "resumed", "phase": resume[0].get("phase"), **kept})
+
+    def _table(self, mission: Mission) -> dict[tuple[int | None, int | None], tuple[_Handler, ...]]:
+        """What handles a message of our vehicle, by component and kind; None: any other kind."""
+        at, any_other = AUTOPILOT_COMPONENT, self._on_autopilot
+        table: dict[tuple[int | None, int | None], tuple[_Handler, ...]] = {
+            (mission.scanner_component_id, None): (self._on_radar,),
+            (at, None): (any_other,),
+            (at, _HEARTBEAT): (self._on_heartbeat, any_other),
+            (at, _TIMESYNC): (any_other, self._on_timesync),
+            (at, _POSITION): (self._on_position,),
+        }
+        if self.near is not None or self.rangefinder is not None:
+            table[at, near_scanner.ATTITUDE] = (self._on_attitude, any_other)
+            for number in near_scanner.OF_AUTOPILOT:
+                table[at, number] = (self._on_sensor, any_other)
+        if mission.near is not None and mission.near.component_id != at:
+            for number in near_sensing.MESSAGES.values():
+                table[mission.near.component_id, number] = (self._on_sensor,)
+        return table
 
     @property
     def now_s(self) -> float:
@@ -187,13 +189,11 @@ class Session:
     def receive(self, data: bytes, at_s: float | None = None) -> bool:
         """Receive bytes of the link; returns whether the autopilot was heard.
 
-        at_s: time of arrival, by any monotonic clock, for round trip times.
+        at_s: time of arrival, by any monotonic clock; the vehicle's cannot leap ahead of it.
         """
-        self._at_s = at_s
         if self.signing is not None and at_s is not None:
             self.signing.on_time(at_s)
         messages = self.receiver.read(data, at_s)
-        self._dropped += max(len(self._waiting) + len(messages) - _MOST_WAITING, 0)
         self._waiting.extend(messages)
         self._out.inputs.append(("receive", b"".join(map(_frame_of, messages)), at_s))
         if self.signing is not None and (complaint := self.signing.complaint(self.now_s)):
@@ -216,11 +216,6 @@ class Session:
         else:
             self._handle(died)
 
-    def recording_stopped(self, why: str) -> None:
-        """The disk has failed: the flight goes on with a warning."""
-        self._out.inputs.append(("recording_stopped", why))
-        self._send_text(f"not recorded any more: {why}", warning=True)
-
     def stop(self) -> None:
         """The operator ends the mission."""
         self._out.inputs.append(("stop",))
@@ -234,17 +229,17 @@ class Session:
             return f"the mission is {self.state.phase.value} already"
         if self.state.airborne:
             return "it has taken off already"
-        heard = {"sender": order.sender, "command": wire.MAV_CMD_MISSION_START}
+        heard = {"kind": "command", "sender": order.sender, "command": wire.MAV_CMD_MISSION_START}
         if self._judged(order) is not changes.OrderResult.ACCEPTED:
             why = changes.why_not(self.state, order)
-            self._note("command", **heard, result="temporarily_rejected", why=why)
+            self._note({**heard, "result": "temporarily_rejected", "why": why})
             return why
-        self._note("command", **heard, order="start")
+        self._note({**heard, "order": "start"})
         self._handle(order)
         return ""
 
     def complain(self, text: str) -> None:
-        """Send a warning that frames were rejected; those are not in the inputs."""
+        """Send a warning of what is not in the inputs: rejected frames, a disk that has failed."""
         self._out.inputs.append(("complain", text))
         self._send_text(text, warning=True)
 
@@ -259,15 +254,12 @@ class Session:
         self._silence_told_s = silent_s
         if self.clock.on_silence(more_s, counts=not waiting) is ClockReading.LATER:
             self._handle(events.Tick(time_s=self.now_s))
-        self._keep_house()
+        self._meet_deadlines()
 
     def run(self) -> Output:
         """Handle the received messages, as far as possible."""
         if self._out.inputs:  # else it changes nothing
             self._out.inputs.append(("run",))
-        if self._dropped:
-            self._note("messages dropped", count=self._dropped)
-            self._dropped = 0
         while self._waiting:
             heard = self._waiting.popleft()
             if not self._on_message(heard):
@@ -328,40 +320,29 @@ class Session:
     # --- messages
 
     def _on_message(self, heard: Incoming) -> bool:
-        """Handle one message: clock, duplicate ids, then its meaning.
+        """Handle one message: its time, its sender if that has our ids, then its meaning.
 
         False, without effect, for a position that has to wait for a plan.
         """
         number, component = heard.number, heard.component
-        handle, counts = None, heard.message is not None or number in TIME_ONLY_MESSAGES
-        if counts:
-            if number == _HEARTBEAT or self.selector.system_id is None:
-                self._select(heard)
-            if heard.system == self.selector.system_id:
-                handle = self._handlers.get(component)
-        if handle is not None and component == AUTOPILOT_COMPONENT:
-            if number == _POSITION:
-                time_s = heard.message.time_boot_ms * 1e-3
-                at_s = None if self._lockstep else heard.at_s
-                due = time_s >= self._plan.due_s and self._plan.is_missing(time_s)
-                if due and self.clock.believes(time_s, at_s):
-                    if self._lockstep:
-                        return False
-                    if self._plan.newly_late():
-                        late = self.state.flight.plan_id
-                        self._handle(events.PlanLate(time_s=self.now_s, plan_id=late))
-                counts = self._on_time(time_s, heard, ticks=False)
-                handle = self._on_position
-            else:
-                counts = self._on_clock(heard)
+        counts = heard.message is not None or number in TIME_ONLY_MESSAGES
+        if counts and (number == _HEARTBEAT or self.selector.system_id is None):
+            self._select(heard)
+        is_ours = counts and heard.system == self.selector.system_id
+        if is_ours and component == AUTOPILOT_COMPONENT:
+            if number == _POSITION and self._plan.due_s < math.inf and self._lacks_plan(heard):
+                return False
+            counts = self._takes_time(heard)
         self._out.record.append((self.clock.now_s, heard.frame))
         if component == COMPANION_COMPONENT:  # another process with our ids may have sent it
             found = self._outbox.duplicates.heard(heard.frame, self.selector.system_id, self.now_s)
             self._handle(found)
         if counts and number in COMMANDS:
             self._serve(heard)
-        if counts and handle is not None:
-            handle(heard)
+        if counts and is_ours:
+            table = self._handlers
+            for handle in table.get((component, number)) or table.get((component, None), ()):
+                handle(heard)
         return True
 
     def _select(self, heard: Incoming) -> None:
@@ -374,6 +355,17 @@ class Session:
                 events.VehicleFound(time_s=self.now_s, system_id=0, traits=None, name=name)
             )
 
+    def _lacks_plan(self, heard: Incoming) -> bool:
+        """Whether a position has to wait for a plan; if it does not, though one is due, say so."""
+        time_s = heard.message.time_boot_ms * 1e-3
+        at_s = None if self._lockstep else heard.at_s
+        if not (self._plan.is_missing(time_s) and self.clock.believes(time_s, at_s)):
+            return False
+        if not self._lockstep and self._plan.newly_late():
+            late = self.state.flight.plan_id
+            self._handle(events.PlanLate(time_s=self.now_s, plan_id=late))
+        return self._lockstep
+
     def _on_radar(self, heard: Incoming) -> None:
         """A message of the radar: its answers to a scan, and when to look whether it is over."""
         scan, here = self._scan, self.state.vehicle.position_nea_m
@@ -381,10 +373,34 @@ class Session:
             scan.on_message(heard.message, here)
         self._scan_on()
 
-    def _on_near(self, heard: Incoming) -> None:
-        """A message of the sensor of near things; of another kind, it says nothing."""
-        if self.near is not None and heard.number in near_sensing.MESSAGES.values():
+    def _on_sensor(self, heard: Incoming) -> None:
+        """A distance sensor of the autopilot or beside it, or the health of those it has."""
+        of_autopilot = heard.component == AUTOPILOT_COMPONENT
+        if self.near is not None:
             self.near.on_message(heard.message, self.now_s)
+        if self.rangefinder is not None and of_autopilot and heard.number == near_sensing.SECTORS:
+            self.rangefinder.on_message(heard.message, self.now_s)
+
+    def _on_attitude(self, heard: Incoming) -> None:
+        """How it was turned, for those who measure."""
+        self._poses.on_attitude(heard.message)
+        if self.near is not None:
+            self._handle(self.near.seen(self.now_s))
+
+    def _on_heartbeat(self, heard: Incoming) -> None:
+        """The first heartbeat of our autopilot: select its strategy."""
+        if self.vehicle is not None:
+            return
+        system, name = heard.system, described(heard.message)
+        self.found = name
+        self.vehicle = AutopilotClient.found(heard.message, self.context)
+        traits = None
+        if self.vehicle is not None:
+            self._component = Component(self.mission, system, self._version)
+            traits = self.vehicle.autopilot.traits
+        found: dict[str, Any] = {"system_id": system, "name": name}
+        self._note({"kind": "vehicle found", **found})
+        self._handle(events.VehicleFound(time_s=self.now_s, traits=traits, **found))
 
     def _on_position(self, heard: Incoming) -> None:
         """A position, which drives the mission; a due plan takes effect before it."""
@@ -394,12 +410,8 @@ class Session:
         if now_s >= plan.due_s and not shadow:
             self._handle(plan.take(now_s))
         event = vehicle.on_position(heard.message, now_s)
-        if self._listeners and event is not None:
-            self._poses.on_position(event.time_s, event.position_nea_m)
-        if self.near is not None:
-            self._handle(self.near.seen(now_s))
-        if event is not None and self.rangefinder is not None:
-            self._handle(self.rangefinder.seen(now_s, self.state.flight.known))
+        if self.near is not None or self.rangefinder is not None:
+            self._measure(event)
         self._handle(event)
         if now_s >= plan.due_s and shadow:
             self._handle(plan.take(now_s))  # the position before may be a second old
@@ -412,33 +424,33 @@ class Session:
                 self._handle(self._preflight.judged(self))
         if self._scan is not None:
             self._scan_on()
-        self._keep_house()
+        if not self._looked_s <= now_s < self._due_s - _ROUNDING_S:
+            self._meet_deadlines()
+
+    def _measure(self, event: events.Position | None) -> None:
+        """What the sensors have measured by the time of a position."""
+        if event is not None:
+            self._poses.on_position(event.time_s, event.position_nea_m)
+        if self.near is not None:
+            self._handle(self.near.seen(self.now_s))
+        if event is not None and self.rangefinder is not None:
+            self._handle(self.rangefinder.seen(self.now_s, self.state.flight.known))
 
     def _on_autopilot(self, heard: Incoming) -> None:
         """Any other message of the autopilot."""
-        message, number, now_s = heard.message, heard.number, self.clock.now_s
-        if number == _HEARTBEAT and self.vehicle is None:
-            self._identify_vehicle(message)
-        if (vehicle := self.vehicle) is not None:
-            for listen in self._listeners.get(number, ()):
-                listen(message, now_s)
-            if number in TIME_ONLY_MESSAGES or number == _TIMESYNC:  # they tell only a time
-                if number == _TIMESYNC and message.tc1 != 0 and heard.at_s is not None:
-                    self._handle(vehicle.on_timesync(message, now_s, heard.at_s))
-                vehicle.count(number, now_s)
-                if self.near is not None and number == near_scanner.ATTITUDE:
-                    self._handle(self.near.seen(now_s))
-            else:
-                if replies := vehicle.on_message(message, now_s):
-                    self._outbox.send(replies, now_s)
-                self._handle(vehicle.event_of(message, now_s))
-            if vehicle.is_news or vehicle.notes:
-                self._look_at_news(vehicle)
-            self._keep_house()
-            if message is not None and (noted := vehicle.journal_entry(message)) is not None:
-                self._note(**noted)
-        if number == _TIMESYNC and message.tc1 == 0:
-            self._answer_timesync(message)
+        if (vehicle := self.vehicle) is None:
+            return
+        message, now_s = heard.message, self.clock.now_s
+        if message is None:  # only its time is read
+            vehicle.count(heard.number, now_s)
+        else:
+            self._send_all(vehicle.on_message(message, now_s))
+            self._handle(vehicle.event_of(message, now_s))
+        if vehicle.is_news or vehicle.notes:
+            self._look_at_news(vehicle)
+        self._meet_deadlines()
+        if message is not None and (noted := vehicle.journal_entry(message)) is not None:
+            self._note(noted)
 
     def _look_at_news(self, vehicle: AutopilotClient) -> None:
         """Handle new events of the autopilot client; its next requests may be due."""
@@ -446,27 +458,16 @@ class Session:
             self._handle(event)
         self._due_s = -math.inf
 
-    def _answer_timesync(self, message: Message) -> None:
+    def _on_timesync(self, heard: Incoming) -> None:
         """A simulator in lockstep advances once its request is answered."""
+        if (message := heard.message).tc1 != 0:
+            return
         self._time_asked += 1
         self._send_all([wire.MAVLink_timesync_message(message.ts1, message.ts1)])
         seldom = self.vehicle is not None and not self.vehicle.autopilot.firmware.asks_time_often
         often = self._time_asked == _LOCKSTEP and self.now_s < _EARLY_S
         if seldom and often and not self._lockstep:
             self._send_text("simulator in lockstep: use --lockstep here too", warning=True)
-
-    def _identify_vehicle(self, message: Message) -> None:
-        """The first heartbeat of our autopilot: select its strategy."""
-        system, name = message.get_srcSystem(), described(message)
-        self.found = name
-        self.vehicle = AutopilotClient.found(message, self.context)
-        traits = None
-        if self.vehicle is not None:
-            self._component = Component(self.mission, system, self._version)
-            traits = self.vehicle.autopilot.traits
-        found: dict[str, Any] = {"system_id": system, "name": name}
-        self._note("vehicle found", **found)
-        self._handle(events.VehicleFound(time_s=self.now_s, traits=traits, **found))
 
     def _serve(self, heard: Incoming) -> None:
         """Handle a request to the companion itself."""
@@ -475,8 +476,7 @@ class Session:
         self._due_s = -math.inf
         served = component.on_message(heard.message, self.now_s)
         self._send_all(served.replies)
-        if served.note is not None:
-            self._note(**served.note)
+        self._note(served.note)
         if served.text:
             self._send_text(served.text, warning=True)
         if served.order is not None:
@@ -496,89 +496,102 @@ class Session:
 
     # --- the clock
 
-    def _on_clock(self, heard: Incoming) -> bool:
-        """Take the time that another message of the autopilot tells, if any.
+    def _takes_time(self, heard: Incoming) -> bool:
+        """Take the time that a message of the autopilot tells, if any.
 
-        False: it is doubted, or says no more than one just before.
+        False: it is doubted, or says no more than one just before: then nothing that it tells
+        counts.
         """
         number, message = heard.number, heard.message
-        if number in TIME_ONLY_MESSAGES:
+        if number == _POSITION or number == wire.MAVLINK_MSG_ID_SYSTEM_TIME:
+            time_s = message.time_boot_ms * 1e-3
+        elif number in TIME_ONLY_MESSAGES:
             time_ms = boot_ms_of(heard.frame, number)
             assert time_ms is not None
-            newer = self.clock.is_newer(number, time_ms)
-            return newer and self._on_time(time_ms * 1e-3, heard)
-        if number == wire.MAVLINK_MSG_ID_SYSTEM_TIME:
-            return self._on_time(message.time_boot_ms * 1e-3, heard)
-        if number == _TIMESYNC and self._lockstep and message.tc1 == 0:
-            self._on_time(message.ts1 * 1e-9, heard)
-        elif number == _HEARTBEAT and not self.context.shadow and self.clock.beat(message):
-            self._handle(events.Tick(time_s=self.clock.going_on_s))
-        return True
-
-    def _on_time(self, time_s: float, heard: Incoming, *, ticks: bool = True) -> bool:
-        """Take a new vehicle time; ticks: False if an event of the same time follows.
-
-        In lockstep the wall time at which it arrived says nothing.  False if it is doubted: then
-        nothing else that the message tells counts either.
-        """
+            if not self.clock.is_newer(number, time_ms):
+                return False
+            time_s = time_ms * 1e-3
+        elif number == _TIMESYNC and self._lockstep and message.tc1 == 0:
+            time_s = message.ts1 * 1e-9
+        else:
+            if number == _HEARTBEAT and not self.context.shadow and self.clock.beat(message):
+                self._handle(events.Tick(time_s=self.clock.going_on_s))
+            return True
         before_s = self.clock.now_s
+        # In lockstep the wall time at which it arrived says nothing.
         reading = self.clock.read(time_s, None if self._lockstep else heard.at_s)
-        if reading is ClockReading.FIRST:  # waits go on by the new clock
+        if reading is ClockReading.LATER:
+            ahead_s = self.state.now_s - time_s
+            if ahead_s > 0.0:  # while only heartbeats came, it was guessed
+                self.state = machine.rebased(self.state, -ahead_s)
+            if number != _POSITION:  # which is an event of that time itself
+                self._handle(events.Tick(time_s=time_s))
+        elif reading is ClockReading.FIRST:  # waits go on by the new clock
             self.state = machine.rebased(self.state, time_s - before_s)
-            self._due_s = -math.inf
             if self.vehicle is not None:
                 self.vehicle.rebase_time(time_s - before_s)
         elif reading is ClockReading.REBOOTED:
             self._on_reboot()
-        elif reading is ClockReading.LATER:
-            ahead_s = self.state.now_s - time_s
-            if ahead_s > 0.0:  # while only heartbeats came, it was guessed
-                self.state = machine.rebased(self.state, -ahead_s)
-            if ticks:
-                self._handle(events.Tick(time_s=time_s))
-        return reading is not ClockReading.DOUBTED
+        # A request that was answered late would make the vehicle wait for ever.
+        return reading is not ClockReading.DOUBTED or number == _TIMESYNC
 
     def _on_reboot(self) -> None:
         """The autopilot has rebooted: prepare again; the known terrain is kept."""
         stage = replace(self.state.stage, since_s=self.now_s)
         self.state = replace(self.state, now_s=self.now_s, stage=stage)
-        self._scan = None
+        self._scan, self._asked_at_s = None, -math.inf
         self._plan.forget()
-        self._mode_asked_at_s = -math.inf
         if self.vehicle is not None:
             self.vehicle.rebooted()
         self._handle(events.Rebooted(time_s=self.now_s))
 
-    def _keep_house(self) -> None:
-        """Periodic work: heartbeat, texts, repeated requests."""
-        now_s, before_s, at_s = self.clock.going_on_s, self._kept_house_s, self._at_s
-        if now_s == before_s:
-            return  # for a message of the same time
-        self._kept_house_s = now_s
-        if before_s <= now_s < self._due_s - _ROUNDING_S and (
-            at_s is None or at_s < self._due_at_s - _ROUNDING_S
-        ):
-            return
-        vehicle, component, is_over = self.vehicle, self._component, self._end is not None
-        if vehicle is not None and self.state.stage.phase is not Phase.WAITING:
-            self._send_all(vehicle.on_time(now_s, at_s))
-            for texts, warning in ((vehicle.warnings, True), (vehicle.notes, False)):
-                while texts:
-                    self._send_text(texts.pop(0), warning=warning)
-        if component is not None:
+    # --- deadlines
+
+    def _meet_deadlines(self) -> None:
+        """Once one of the clients is due, let each do what it has to, and say when it is next."""
+        now_s, before_s = self.clock.going_on_s, self._looked_s
+        self._looked_s = now_s
+        if now_s < before_s or (now_s > before_s and now_s >= self._due_s - _ROUNDING_S):
+            self._due_s = min([client(now_s) for client in self._clients])
+
+    def _serve_vehicle(self, now_s: float) -> float:
+        """Requests to the autopilot, and what a person should hear of it."""
+        vehicle = self.vehicle
+        if vehicle is None or self.state.stage.phase is Phase.WAITING:
+            return math.inf
+        self._send_all(vehicle.on_time(now_s))
+        for texts, warning in ((vehicle.warnings, True), (vehicle.notes, False)):
+            while texts:
+                self._send_text(texts.pop(0), warning=warning)
+        return vehicle.due_s
+
+    def _beat(self, now_s: float) -> float:
+        """Our heartbeat, and other messages of our own."""
+        is_over = self._end is not None
+        if (component := self._component) is not None:
             faulted = self.state.stage.phase is Phase.FAULTED or is_over
             self._send_all(component.on_time(now_s, self.state, faulted=faulted))
-        elif not is_over and now_s - self._mode_asked_at_s >= _MODE_AGAIN_S:
-            self._mode_asked_at_s = now_s  # no vehicle is known yet: only our heartbeat
+            return component.due_s
+        if not is_over and now_s - self._asked_at_s >= _AGAIN_S:
+            self._asked_at_s = now_s
             self._send_all([heartbeat(wire.MAV_STATE_STANDBY)])
+        return self._asked_at_s + _AGAIN_S
+
+    def _say(self, now_s: float) -> float:
+        """The texts that wait."""
         self._send_all(self._texts.due(now_s))
-        if is_over and now_s - self._mode_asked_at_s >= _MODE_AGAIN_S and not self._settled():
+        return self._texts.due_s
+
+    def _ask_again(self, now_s: float) -> float:
+        """After the end, for the mode in which the vehicle is left."""
+        if self._end is None or not self._last_asked:
+            return math.inf
+        if now_s - self._asked_at_s >= _AGAIN_S and not self._settled():
             for command in self._last_asked:
                 self._command(command)
-        self._due_s, self._due_at_s = -math.inf, math.inf  # the next time
-        if vehicle and component and not is_over and not self._texts.is_waiting:
-            self._due_s = min(vehicle.due_s, component.due_s)
-            self._due_at_s = vehicle.due_at_s
+        return self._asked_at_s + _AGAIN_S
+
+    # --- what outlives this process
 
     def _keep(self, *, at_once: bool = False) -> None:
         """A checkpoint when the mission has moved on, and the map when it has grown."""
@@ -603,7 +616,8 @@ class Session:
         of = centre_nea_m, self.state, self.now_s
         scan = TerrainDownload(self.mission, *of) if self.near is None else self.near.begun(*of)
         self._scan = scan
-        self._note("scan", centre_nea_m=list(centre_nea_m), blocks=scan.asked)
+        told = {"kind": "scan", "centre_nea_m": list(centre_nea_m), "blocks": scan.asked}
+        self._note(told)
         self._scan_on()
 
     # --- events and commands
@@ -618,14 +632,14 @@ class Session:
         after, commands = machine.step(before, event, self.context)
         self.state, path = after, getattr(after.stage, "path", None)  # if it has one
         if type(event) is not events.Position:
-            self._note_entries(journal.of_event(event, after))
+            self._note(journal.of_event(event, after))
         if (
             after.stage.phase is not before.stage.phase
             or after.reason is not before.reason
             or after.flight.legs_flown != before.flight.legs_flown
             or (path is not None and path.outside_m)
         ):
-            self._note_entries(*journal.of_change(before, after))
+            self._note(*journal.of_change(before, after))
         ends = End in map(type, commands)
         for command in commands:
             if type(command) is not events.Setpoint:
@@ -633,8 +647,10 @@ class Session:
             elif (vehicle := self.vehicle) is not None and not self.context.shadow:
                 circle_m = after.task.limits.loiter_radius_m
                 messages = vehicle.autopilot.setpoint(command, vehicle.to, circle_m)
-                if messages is None:
-                    self._refuse(command)
+                if messages is None:  # the wire has no numbers for it
+                    self._note({"kind": "setpoint refused", "setpoint": repr(command)})
+                    error = "setpoint out of range"
+                    self._handle(events.PlannerDied(time_s=self.now_s, error=error))
                 else:
                     self._outbox.send(messages, self.clock.now_s)
             if self._end is not None and not ends:
@@ -648,31 +664,21 @@ class Session:
             held = any(isinstance(each, SetMode) and each.mode is Mode.HOLD for each in told)
             text, messages = self._texts.end(self._end, held=held, disarmed=Disarm() in told)
             arrived = self._end.outcome is events.Outcome.ARRIVED
-            self._note("say", text=text, warning=not arrived)
+            self._note({"kind": "say", "text": text, "warning": not arrived})
             self._send_all(messages)
 
-    def _note_entries(self, *noted: journal.Told | None) -> None:
-        for entry in filter(None, noted):
-            self._note(**entry)
-
-    def _refuse(self, setpoint: events.Setpoint) -> None:
-        """One that the wire has no numbers for is an error."""
-        self._note("setpoint refused", setpoint=repr(setpoint))
-        self._handle(events.PlannerDied(time_s=self.now_s, error="setpoint out of range"))
-
     def _carry_out(self, command: events.Command) -> None:
-        self._due_s = -math.inf
         match command:
             case events.StartScan(centre_nea_m=centre):
                 self._start_scan(centre)
             case events.Plan(request=request, due_s=due_s):
                 self._plan.ask(due_s)
                 self._out.plan = request
-                self._note(**journal.of_request(request, due_s))
+                self._note(journal.of_request(request, due_s))
             case events.StatusText(text=text, warning=warning, about=about):
                 self._send_text(text, warning=warning, about=about)
             case End():
-                self._note_entries(journal.of_command(command))
+                self._note(journal.of_command(command))
                 self._end = command
             case events.RequestStreams():
                 if self.vehicle is not None:
@@ -686,12 +692,12 @@ class Session:
     def _command(self, command: AutopilotCommand) -> None:
         assert self.vehicle is not None
         if isinstance(command, SetMode):
-            self._mode_asked_at_s = self.clock.going_on_s
-        self._note_entries(journal.of_command(command))
+            self._asked_at_s = self.clock.going_on_s
+        self._note(journal.of_command(command))
         self._send_all(self.vehicle.command_messages(command, self.state))
 
     def _send_text(self, text: str, *, warning: bool, about: str = "") -> None:
-        self._note("say", text=text, warning=warning)
+        self._note({"kind": "say", "text": text, "warning": warning})
         self.warned = (self.now_s, text) if warning else self.warned
         self._texts.add(text, self.clock.going_on_s, warning=warning, kind=about)
 
@@ -708,7 +714,8 @@ class Session:
     def _send_all(self, messages: Iterable[Message]) -> None:
         self._outbox.send(messages, self.now_s)
 
-    def _note(self, kind: str, **values: Any) -> None:
-        """Add an entry to the journal; after what is noted something may be due."""
-        self._due_s = -math.inf
-        self._out.journal.append({"t_s": round(self.now_s, 6), "kind": kind, **values})
+    def _note(self, *entries: journal.Told | None) -> None:
+        """Add entries to the journal; after what is noted something may be due."""
+        for entry in filter(None, entries):
+            self._due_s = -math.inf
+            self._out.journal.append({"t_s": round(self.now_s, 6), **entry})

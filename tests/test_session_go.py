@@ -16,6 +16,7 @@ from companion.mavlink.link import Output
 from companion.mission.state import Phase
 from companion.replay.feed import Feeder
 from companion.runtime import loop
+from companion.runtime.planner_process import PlannerHere
 from companion.runtime.terminal import HOW_TO, Terminal
 from companion.session import Session
 from companion.telemetry.flight_status import flight_status
@@ -91,7 +92,7 @@ def test_the_loop_asks_who_is_there(tmp_path: Path, here: bool) -> None:
             lockstep=True,  # of the loop alone: it hears a tick of the vehicle a turn
             on_progress=lambda flown: shown.append(flight_status(flown)),
             stop_asked=lambda: link.vehicle.armed or link.vehicle.time_ms > 60_000,
-            planner=straight_plan,
+            planner=PlannerHere(straight_plan),
             person=person,
         )
     assert link.vehicle.armed is here

@@ -1,6 +1,6 @@
 """Client of one autopilot: its protocols besides setpoints, and decoding of its messages.
 
-Streams, parameters, its mission, fence and rally points, link delay.  Sans-IO: messages in,
+Streams, parameters, its mission, fence and rally points.  Sans-IO: messages in,
 messages and events out.
 """
 
@@ -25,13 +25,9 @@ from companion.mission.mission import Mission
 from companion.mission.state import State
 
 _POSITION: Final = wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
-_ASK_TIME_S = 1.0
 _TELL_SPEED_S = 1.0
 _NOT_YET = (wire.MAV_RESULT_TEMPORARILY_REJECTED, wire.MAV_RESULT_IN_PROGRESS)
-_MAX_OUTSTANDING = 10
 _MAX_SETS = 3  # of one parameter: a client that sets it back so often means it
-_SMOOTH = 0.3  # of a new round trip
-_NEWS_S = 0.005  # a change of less moves no setpoint by much
 _HOME_MOVED_M = 5.0
 _LOOK_S = 2.0
 _ENOUGH = 0.5  # of what was asked for: the rest may have been lost
@@ -124,12 +120,12 @@ class StreamRequests:
 
 @final
 class AutopilotClient:
-    """The protocols of one autopilot: streams, parameters, plans, time synchronisation."""
+    """The protocols of one autopilot: streams, parameters, plans."""
 
     def __init__(self, context: Context, system_id: int, autopilot: Autopilot) -> None:
         """context: in shadow it only reports what parameters to set."""
         self._mission = mission = context.mission
-        self._lockstep, self._sets_parameters = context.lockstep, not context.shadow
+        self._sets_parameters = not context.shadow
         self.system_id, self.autopilot, self.to = system_id, autopilot, To(system_id, mission.frame)
         self.streams = StreamRequests(mission, system_id, autopilot)
         wanted = [rule.names for rule in autopilot.rules if rule.matters(mission)]
@@ -141,7 +137,6 @@ class AutopilotClient:
         self.findings: list[Finding] = []
         """Of the parameters, as they were judged last."""
         self.origin_nea_m: events.Vector | None = None
-        self.round_trip_s: float | None = None
         self.said: tuple[float, str] = (-math.inf, "")
         """When it last sent a text, and what."""
         self.here_ne_m: tuple[float, float] | None = None
@@ -156,8 +151,6 @@ class AutopilotClient:
         """How often each parameter was set."""
         self._refusal_told = ""
         self._plans_told = False
-        self._asked_time_s = self._told_round_trip_s = -1e9
-        self._outstanding: dict[int, float] = {}
         self._speed: list[Message] = []
         """What tells it how fast to fly, until it has said that it will."""
         self._speed_told_s = -1e9
@@ -274,22 +267,6 @@ class AutopilotClient:
             return None
         return {"kind": "acknowledged", "command": message.command, "result": message.result}
 
-    def on_timesync(self, message: Message, now_s: float, at_s: float) -> events.LinkDelay | None:
-        """The link delay by the answer to our TIMESYNC, if it has changed.
-
-        at_s: when it arrived, by the clock that asked.
-        """
-        asked_s = self._outstanding.pop(message.ts1, None)
-        if asked_s is None:
-            return None
-        took_s = max(at_s - asked_s, 0.0)
-        before_s = took_s if self.round_trip_s is None else self.round_trip_s
-        self.round_trip_s = before_s + _SMOOTH * (took_s - before_s)
-        if abs(self.round_trip_s - self._told_round_trip_s) < _NEWS_S:
-            return None
-        self._told_round_trip_s = self.round_trip_s
-        return events.LinkDelay(time_s=now_s, round_trip_s=self.round_trip_s)
-
     # --- out
 
     def command_messages(self, command: AutopilotCommand, state: State) -> list[Message]:
@@ -322,14 +299,8 @@ class AutopilotClient:
         speed_s = self._speed_told_s + _TELL_SPEED_S if self._speed else math.inf
         return min(speed_s, self.streams.due_s, self.plans.due_s)
 
-    @property
-    def due_at_s(self) -> float:
-        """When the next TIMESYNC is due, by the runtime's clock."""
-        asks = self.streams.begun and not self._lockstep
-        return self._asked_time_s + _ASK_TIME_S if asks else math.inf
-
-    def on_time(self, now_s: float, at_s: float | None) -> list[Message]:
-        """The messages that are due; at_s: the runtime's clock, None in lockstep."""
+    def on_time(self, now_s: float) -> list[Message]:
+        """The messages that are due."""
         if not self.streams.begun:
             return []
         asked = self.streams.on_time(now_s)
@@ -339,19 +310,7 @@ class AutopilotClient:
         self.is_news = self.is_news or not self.parameters.is_done  # it may give one up
         asked += self.parameters.on_time(now_s)
         asked += self.plans.on_time(now_s)
-        if at_s is not None and not self._lockstep:
-            asked += self._ask_time(at_s)
         return asked
-
-    def _ask_time(self, at_s: float) -> list[Message]:
-        if 0.0 <= at_s - self._asked_time_s < _ASK_TIME_S:
-            return []
-        self._asked_time_s = at_s
-        ts1 = max(round(at_s * 1e9), 1)
-        self._outstanding[ts1] = at_s
-        if len(self._outstanding) > _MAX_OUTSTANDING:
-            del self._outstanding[next(iter(self._outstanding))]
-        return [wire.MAVLink_timesync_message(0, ts1)]
 
     def news(self, now_s: float) -> list[events.Event]:
         """New events since the last call."""

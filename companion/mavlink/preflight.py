@@ -30,7 +30,6 @@ from companion.world.near_map import NearSensor
 _MAX_LOOKS = 3
 _PATIENCE_S = 5.0  # for rates and delays that have not come yet
 _CHECK_S = 1.0  # between two looks at a vehicle that waits
-_LONG_DELAY_S = 0.5
 _NO_RADAR = (
     "Start it, or correct vehicle.scanner_component_id. Where there is none, say so in a "
     "mission.toml, which may name a .plan: vehicle.scanner = false, and [terrain] with an "
@@ -238,11 +237,6 @@ def _link(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check]
     missing = vehicle.streams.missing
     what = f"{', '.join(missing)} asked for and not sent" if missing else "all that was asked for"
     yield _check("messages", not missing, what, "Give the link more bandwidth, or check its rates.")
-    if (delay_s := vehicle.round_trip_s) is None:
-        yield _remark("link delay", "the vehicle does not answer TIMESYNC: taken as none")
-    else:
-        what = f"{delay_s * 1e3:.0f} ms there and back, at most {_LONG_DELAY_S * 1e3:.0f} ms"
-        yield _check("link delay", delay_s <= _LONG_DELAY_S, what, "Use a faster link.")
     found = state.duplicate_id or state.is_duplicate_suspected
     ours = f"{vehicle.system_id}/{COMPANION_COMPONENT}"
     what = f"{ours}: {Reason.NOT_ALONE.text}" if found else f"nobody else is {ours}"

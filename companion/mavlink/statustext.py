@@ -55,9 +55,9 @@ class StatusTexts:
             self._waiting[kind or said] = _Text(said, warning, now_s)
 
     @property
-    def is_waiting(self) -> bool:
-        """Whether texts are queued."""
-        return bool(self._waiting)
+    def due_s(self) -> float:
+        """When `due` has something to say, at the latest."""
+        return self._free_at_s if self._waiting else math.inf
 
     def due(self, now_s: float) -> list[Message]:
         """The messages to send now: the first queued text, if it is time for one."""

@@ -159,13 +159,6 @@ class Battery(Event, frozen=True, kw_only=True):
     """Share of a full one, 0 to 1."""
 
 
-class LinkDelay(Entry, frozen=True, kw_only=True, tag="link delay"):
-    """The link has become slower or faster."""
-
-    round_trip_s: float
-    """To the vehicle and back (TIMESYNC)."""
-
-
 class Item(enum.Enum):
     """Preparations that must be complete before a flight."""
 

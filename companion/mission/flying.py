@@ -265,7 +265,7 @@ def _on_plan(state: State, stage: phases.Flying, event: events.PlanReady, turn: 
         silent = stage.shortfall is Reason.RADAR_SILENT
         return _no_successor(state, stage, Reason.RADAR_SILENT if silent else Reason.NO_PLAN, turn)
     if (path := stage.path) is not None:
-        soonest_m = path.reference.length_m + following.lead_m(state, path.reference)
+        soonest_m = path.reference.length_m + following.lead_m(state)
         if soonest_m > path.leg.successor_at_m:
             return _no_successor(state, stage, Reason.PLAN_LATE, turn)
         if path.stop is not None:

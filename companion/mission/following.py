@@ -24,7 +24,6 @@ _NOT_TAKEN_S = 2.0
 _FARTHEST = 1.0  # tubes beyond the first: there it is told to hold at once, half of d_s at most
 _BACK_S = 3.0  # after it has come to rest: for the vehicle to be back on its path
 _ECHO_S = 1.5  # an older echo says nothing
-_LONGEST_DELAY_S = 0.5  # of a link that setpoints are sent ahead for
 
 _ROUNDING_M = 1e-6
 _SENT_LATELY_S = 1.0
@@ -39,18 +38,14 @@ _FRESH_S = 1.0
 _ON_CIRCLE = 1.5  # loiter radii: a plane may be circling there
 
 
-def lead_m(state: State, reference: Reference) -> float:
+def lead_m(state: State) -> float:
     """How far ahead of the reference point the setpoint lies, along the path.
 
-    The lead of the vehicle traits, plus the distance flown during the link delay.
+    The lead of the vehicle traits.
     """
     vehicle = state.vehicle
-    delay_s = min(vehicle.round_trip_s, _LONGEST_DELAY_S)
-    if vehicle.traits.hovers:
-        return delay_s * reference.speed_m_s
     over_ground = math.hypot(*vehicle.velocity_nea_m_s[:2])  # what counts in wind, not V
-    lead_m = (vehicle.traits.lead_s + delay_s) * over_ground
-    return min(lead_m, _LONGEST_LEAD * state.task.envelope.lead_m)
+    return min(vehicle.traits.lead_s * over_ground, _LONGEST_LEAD * state.task.envelope.lead_m)
 
 
 def advance_reference(state: State, stage: phases.Led, path: OnPath, event: Position) -> None:
@@ -125,7 +120,7 @@ def outside_m(state: State, path: OnPath, event: Position) -> tuple[float, float
     ahead = procedure.ahead_m(reference, leg, here)
     past_m = min(beyond_m(motion), motion.tube_m)
     across_m = procedure.off_path_m(reference, leg, here, past_m) - allowed_m
-    before_m = ahead - lead_m(state, reference) - allowed_m
+    before_m = ahead - lead_m(state) - allowed_m
     far_m = abs(ahead) - motion.lag_m - allowed_m
     return max(across_m, 0.0), max(before_m, 0.0), max(far_m, 0.0)
 
@@ -203,7 +198,7 @@ def send_setpoint(state: State, path: OnPath, event: Position, turn: Turn) -> No
     least_s = traits.setpoint_period_s - 0.5 * state.vehicle.position_step_s
     if state.now_s - state.flight.sent_at_s <= least_s:
         return
-    ahead_m = lead_m(state, reference)
+    ahead_m = lead_m(state)
     if traits.hovers and path.stop is not None:
         next_leg, end_m = None, min(leg.subpath.length_m, path.stop.at_m)
         ahead_m = min(ahead_m, max(end_m - reference.length_m, 0.0))
@@ -261,7 +256,7 @@ def stop(state: State, reason: Reason, turn: Turn) -> None:
         return turn.fault(reason)
     leg, reference = path.leg, path.reference
     if not state.vehicle.traits.hovers:  # it flies on to the point that it is sent to
-        at_m = reference.length_m + (0.0 if path.circling else lead_m(state, reference))
+        at_m = reference.length_m + (0.0 if path.circling else lead_m(state))
         if path.next_leg is not None and at_m > leg.successor_at_m:
             at_m -= leg.successor_at_m
             switch_to_next_leg(state, path)

@@ -56,7 +56,6 @@ class Header(Struct, frozen=True, kw_only=True):
 # Events and commands that are entries as they are, by their names here
 End = events.End
 Fence = events.FenceChanged
-LinkDelay = events.LinkDelay
 LinkLost = events.LinkLost
 PartDied = events.PlannerDied
 PlanLate = events.PlanLate
@@ -277,13 +276,6 @@ class Acknowledged(Entry, frozen=True, kw_only=True, tag="acknowledged"):
 
 class AnotherCompanion(Entry, frozen=True, kw_only=True, tag="another companion"):
     """Another sender uses the companion's system and component id."""
-
-
-class MessagesDropped(Entry, frozen=True, kw_only=True, tag="messages dropped"):
-    """Messages arrived faster than they could be handled."""
-
-    count: int
-    """Messages, the oldest ones."""
 
 
 # --- what the companion does

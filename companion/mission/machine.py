@@ -131,8 +131,6 @@ def _observe(state: State, event: Event, context: Context) -> None:
             vehicle.error_m = error_m
         case events.Home(position_nea_m=home) if not vehicle.home_kept:
             vehicle.home_nea_m = home
-        case events.LinkDelay(round_trip_s=round_trip_s):
-            vehicle.round_trip_s = round_trip_s
         case events.Battery():
             take_battery(state, event, context.mission)
         case events.Echo():

@@ -71,8 +71,6 @@ class Vehicle(Struct, kw_only=True):
     """Since when all reports say that it will not last; None: it will."""
     battery_full: tuple[float, float] | None = None
     """Time of the first report in the air, and the charge then."""
-    round_trip_s: float = 0.0
-    """Of the link."""
     echo: Echo | None = None
     """Its target, as last told."""
     position_nea_m: Vector | None = None

@@ -35,7 +35,6 @@ _ARGUMENTS: Final[dict[str, Any]] = {
     "say_go": tuple[()],
     "complain": tuple[str],
     "part_died": tuple[str, str],
-    "recording_stopped": tuple[str],
     "farewell": tuple[()],
 }
 """The calls of a session that are inputs."""

@@ -26,6 +26,7 @@ def load_kernel() -> None:
     the cache cannot be written it is compiled each time; an unreadable one (after a power cut) is
     rebuilt.
     """
+    load_libraries()
     try:
         _plan_over_flat_ground()
     except Exception:

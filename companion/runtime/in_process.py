@@ -2,7 +2,7 @@
 
     flown = fly_in_process(session, Simulation(world, seed=1), planner=plan)
 
-The control loop is the one that flies over UDP, here in the caller's thread: it is given the same
+The loop is the one that flies over UDP, here in the caller's thread: it is given the same
 datagrams, and the vehicle the same answers, so the flight is the same to the byte (decision 0026).
 Vehicle time goes on when all that the vehicle has said is answered.  Nothing waits, and a clock is
 read only to say how long it took.
@@ -14,10 +14,9 @@ from collections import deque
 from collections.abc import Callable
 from typing import Protocol, final
 
-from companion.planner.request import PlanRequest
-from companion.runtime.control_loop import ControlLoop
 from companion.runtime.link import Link, datagrams
-from companion.runtime.planner_process import PlanFunction
+from companion.runtime.loop import Loop
+from companion.runtime.planner_process import PlanFunction, PlannerHere
 from companion.runtime.recorder import Recorder
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
@@ -99,27 +98,20 @@ def loop_in_process(
     *,
     planner: PlanFunction,
     stop_asked: Callable[[], bool] = lambda: False,
-) -> ControlLoop:
+) -> Loop:
     """The loop of a flight in lockstep, for callers that fly it turn by turn.
 
     They say who is to `record` it, if anybody.  stop_asked: ends the mission, as Ctrl-C does; it is
-    asked in each turn.
+    asked in each turn.  Errors of session and planner are raised.
     """
-    loop = ControlLoop(
+    return Loop(
         session,
         VehicleLink(vehicle),
+        PlannerHere(planner),
         lockstep=True,
         clock=lambda: vehicle.now_us * 1e-6,
         stop_asked=stop_asked,
     )
-
-    def plan(number: int, request: PlanRequest) -> None:
-        began_s = time.perf_counter()
-        outcome = planner(request, lambda: False)
-        loop.answered(number, outcome, time.perf_counter() - began_s)
-
-    loop.plan = plan
-    return loop
 
 
 def fly_in_process(
@@ -130,7 +122,7 @@ def fly_in_process(
     folder: RunFolder | None = None,
     stop_asked: Callable[[], bool] = lambda: False,
 ) -> FlightSummary:
-    """Fly a session until its mission ends; errors of session and planner are raised.
+    """Fly a session until its mission ends, in a `loop_in_process`.
 
     folder: where it is recorded.
     """

@@ -50,7 +50,7 @@ _ORDERS = (11, _COMMAND_INT, 76)
 """SET_MODE, COMMAND_INT, COMMAND_LONG."""
 _REPOSITION, _NO_SWITCH = (192).to_bytes(2, "little"), bytes(4)
 _LOST: Final = (OSError, ValueError, termios.error)
-"""What a stream that is lost raises; ValueError if it was just closed."""
+"""What a stream that is lost raises; ValueError if it is closed."""
 
 
 def is_setpoint(frame: bytes) -> bool:
@@ -200,7 +200,7 @@ class StreamLink(Link):
         self._lock = threading.Lock()
         """Held while bytes are written: a stream that is closed under it is not written to."""
         self._next_s = -math.inf
-        self._is_closed = False
+        """When it is opened again, if it is lost; inf: never, it was closed."""
         if self._network is None:
             try:
                 self._stream, self._is_answered = self._opened(), True
@@ -290,10 +290,10 @@ class StreamLink(Link):
 
     def close(self) -> None:
         """Close the stream for good, after what waits."""
-        self._is_closed, stream = True, self._stream
-        if stream is not None:
+        self._next_s = math.inf
+        if self._stream is not None:
             with self._lock:
-                self._flush(stream, all_of_it=True)
+                self._flush(self._stream, all_of_it=True)
         self._drop()
 
     def _drop(self) -> None:
@@ -308,14 +308,12 @@ class StreamLink(Link):
     def _reopen(self, timeout_s: float) -> None:
         """Open the stream: at once, then every _AGAIN_S; never once closed."""
         wait_s = self._next_s - time.monotonic()
-        if wait_s > 0.0 or self._is_closed:
-            time.sleep(max(min(wait_s, timeout_s), 0.0))
+        if wait_s > 0.0:
+            time.sleep(min(wait_s, timeout_s))
             return
         self._next_s = time.monotonic() + _AGAIN_S
         with contextlib.suppress(*_LOST):
             self._stream = self._opened()
-        if self._is_closed:  # meanwhile
-            self._drop()
 
 
 def _under_way(stream: socket.socket | serial.Serial) -> int:

@@ -2,24 +2,22 @@
 
 In the same process it would: numba holds the interpreter lock for seconds while it compiles, and
 what guidance and search do between their compiled parts holds it for some milliseconds each.
-A thread of the companion waits for the answer (`PlannerWorker`).
+The loop asks, and looks in each of its turns whether there is an answer.
 
 Of a question's map only what has changed since the last question is sent: that of a near mission
-has 28 MB, which take longer than a plan.  Arrays follow the pickle, which would hold the
-interpreter lock meanwhile.
+has 28 MB, which take longer than a plan.  So a thread sends it.
 """
 
 import contextlib
 import gc
+import math
 import multiprocessing
 import os
-import pickle
-import queue
+import select
 import signal
 import threading
 import time
 from collections.abc import Callable
-from ctypes import c_int64
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
@@ -27,24 +25,20 @@ from typing import Final, final
 
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.planning import plan
-from companion.runtime.compiler import load_kernel, load_libraries
+from companion.runtime.compiler import load_kernel
 from companion.runtime.processes import end_with_parent
-from companion.runtime.watchdog import Worker
 from companion.world.known_map import KnownMap, MapNews
 
 PlanFunction = Callable[[PlanRequest, Callable[[], bool]], PlanOutcome]
 """Computes a plan; the second argument tells it when to stop searching."""
-OnAnswer = Callable[[int, PlanOutcome, float], None]
-"""Told of the answer to a request, by the request's number, and how long it took, in seconds."""
+Answer = tuple[PlanOutcome, float]
+"""A plan, and how long it took, in seconds."""
 _SPAWN: Final = multiprocessing.get_context("spawn")  # threads and fork do not mix
-_LOOK_S = 0.02
-_ENDS_S = 1.0
+_ENDS_S: Final = 1.0
 """For the exit code of a process whose pipe has ended."""
-_READY = "ready"
 _SEARCHING: Final = 0.8  # of T: the rest is for the proof
 _STARTS_S: Final = 300.0  # a slow computer may compile it first
 _SLACK_S: Final = 5.0  # on top of T: the plan is late long before, and dead only now
-_ALIVE_S: Final = 0.05  # between two looks whether the process is alive
 
 
 class PlannerEndedError(Exception):
@@ -52,186 +46,166 @@ class PlannerEndedError(Exception):
 
 
 @final
+class PlannerHere:
+    """Plans in the caller's thread, for a vehicle that waits; errors are passed on."""
+
+    is_ready = True
+
+    def __init__(self, planner: PlanFunction) -> None:
+        self._planner = planner
+        self._answer: Answer | None = None
+
+    def ask(self, request: PlanRequest) -> None:
+        """Compute a plan."""
+        began_s = time.perf_counter()
+        outcome = self._planner(request, lambda: False)
+        self._answer = outcome, time.perf_counter() - began_s
+
+    def answer(self, _wait_s: float = 0.0) -> Answer | None:
+        """It, once."""
+        answer, self._answer = self._answer, None
+        return answer
+
+    def close(self) -> None:
+        """There is nothing to let go of."""
+
+
+@final
 class PlannerProcess:
-    """Answers plan requests as `plan` does, from another process."""
+    """Plans as `plan` does, in another process; of the plans asked for only the newest counts."""
 
     def __init__(
-        self, planner: PlanFunction = plan, prepare: Callable[[], object] = load_kernel
+        self,
+        planner: PlanFunction = plan,
+        prepare: Callable[[], object] = load_kernel,
+        *,
+        hurries: bool = True,
     ) -> None:
-        """prepare: called in the process before it is ready; both can be pickled."""
-        self._does = planner, prepare
-        self._enough = _SPAWN.RawValue(c_int64, -1)
-        """The number of the plan whose search is to stop."""
-        self._child: SpawnProcess | None = None
-        self._pipe: Connection | None = None
+        """prepare: called in the process before it is ready; both can be pickled.
+
+        hurries: whether a plan has to be there in time, by the clock.
+        """
+        self._does, self._hurries = (planner, prepare), hurries
+        self.process: SpawnProcess | None = None
+        """Once it is started."""
         self.is_ready = False
         self._told: int | None = None
         """The name of the map that it has."""
+        self._asked: PlanRequest | None = None
+        """What is to be sent once it has answered the last one."""
+        self._is_busy = False
+        self._due_s = math.inf
+        """When it has to be ready, or to have answered."""
 
-    @property
-    def pid(self) -> int | None:
-        """Of the process, once there is one."""
-        return None if self._child is None else self._child.pid
+    def ask(self, request: PlanRequest) -> None:
+        """Have a plan computed; the search for an earlier one stops."""
+        self._asked = request
+        if self._is_busy and not self._sender.is_alive():
+            with contextlib.suppress(OSError):  # then there is no answer
+                self._pipe.send(None)
+        self._send()
 
-    def start(self) -> None:
-        """Start the process and wait until it is prepared; PlannerEndedError if it fails."""
-        if self._child is None:
-            self._pipe, theirs = _SPAWN.Pipe()
-            self._child = _SPAWN.Process(
-                target=_main, args=(theirs, self._enough, *self._does), daemon=True
-            )
-            # Ctrl-C is this process's to decide about, from the child's beginning.
-            before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-            try:
-                self._child.start()
-            finally:
-                signal.pthread_sigmask(signal.SIG_SETMASK, before)
-                theirs.close()
-        if not self.is_ready:
-            self._answer(lambda: None)
-            self.is_ready = True
+    def answer(self, wait_s: float = 0.0) -> Answer | None:
+        """The plan that was asked for last, if it is there in time; starts the process.
 
-    def __call__(self, request: PlanRequest, stop: Callable[[], bool]) -> PlanOutcome:
-        """One plan; PlannerEndedError if the process does not survive it."""
-        self.start()
-        assert self._pipe is not None
-        news, self._told = MapNews.of(request.known, self._told), request.known.name
-        arrays, told = list[pickle.PickleBuffer](), (replace(request, known=news.part), news)
-        text = pickle.dumps(told, pickle.HIGHEST_PROTOCOL, buffer_callback=arrays.append)
-        with contextlib.suppress(OSError):  # then there is no answer
-            self._pipe.send((len(arrays), text))
-            for array in arrays:
-                self._pipe.send_bytes(array.raw())
-
-        def look() -> None:
-            if stop():
-                self._enough.value = request.plan_id
-
-        return self._answer(look)
-
-    def check(self) -> None:
-        """PlannerEndedError if the process has ended."""
-        if self._child is not None and not self._child.is_alive():
-            raise self._ended()
+        PlannerEndedError if it does not come up, has failed or ended, or is overdue.
+        """
+        try:
+            if self.process is None:
+                self._start()
+            if not select.select([self._pipe], (), (), wait_s)[0]:
+                told: Answer | str | None = "it has stood still"
+                if time.monotonic() <= self._due_s:
+                    return None
+            else:
+                told = self._pipe.recv()
+        except Exception as error:  # noqa: BLE001 - however the pipe ends, the child is of no use
+            raise PlannerEndedError(self._how_it_ended(error)) from None
+        if isinstance(told, str):
+            raise PlannerEndedError(told)
+        self.is_ready, self._is_busy, self._due_s = True, False, math.inf
+        self._send()
+        return None if self._is_busy else told
 
     def close(self) -> None:
         """Kill the process."""
-        if self._child is not None and self._child.pid is not None:
-            self._child.kill()
-            self._child.join()
+        if self.process is not None and self.process.pid is not None:
+            self.process.kill()
+            self.process.join()
 
-    def _answer(self, look: Callable[[], None]) -> PlanOutcome:
-        assert self._pipe is not None
+    def _start(self) -> None:
+        self._pipe, theirs = _SPAWN.Pipe()
+        process = _SPAWN.Process(target=_main, args=(theirs, *self._does), daemon=True)
+        # Ctrl-C is this process's to decide about, from the child's beginning.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
-            while not self._pipe.poll(_LOOK_S):
-                look()
-            answer = self._pipe.recv()
-        except Exception:  # noqa: BLE001 - however the pipe ends, the child is of no use
-            raise self._ended() from None
-        if isinstance(answer, PlannerEndedError):
-            raise answer
-        outcome: PlanOutcome = answer
-        return outcome
+            process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+            theirs.close()
+        self.process, self._due_s = process, time.monotonic() + _STARTS_S
 
-    def _ended(self) -> PlannerEndedError:
-        assert self._child is not None
-        self._child.join(_ENDS_S)
-        code = self._child.exitcode
+    def _send(self) -> None:
+        """Send what is asked for to a process that has nothing to do."""
+        if self._asked is None or self._is_busy or not self.is_ready:
+            return
+        request, self._asked, self._is_busy = self._asked, None, True
+        searching_s = _SEARCHING * request.time_s if self._hurries else math.inf
+        self._due_s = time.monotonic() + searching_s / _SEARCHING + _SLACK_S
+        news, self._told = MapNews.of(request.known, self._told), request.known.name
+
+        def send() -> None:
+            with contextlib.suppress(OSError):  # then there is no answer
+                self._pipe.send((replace(request, known=news.part), news, searching_s))
+
+        self._sender = threading.Thread(target=send, name="question", daemon=True)
+        self._sender.start()
+
+    def _how_it_ended(self, error: Exception) -> str:
+        if self.process is None:
+            return str(error)
+        self.process.join(_ENDS_S)
+        code = self.process.exitcode
         how = f"exit code {code}"
         if code is None:
             how = "it says nothing that can be read"
         elif code < 0:
             with contextlib.suppress(ValueError):
                 how = signal.Signals(-code).name
-        return PlannerEndedError(f"its process has ended ({how})")
+        return f"its process has ended ({how})"
 
 
-def _main(
-    pipe: Connection, enough: c_int64, planner: PlanFunction, prepare: Callable[[], object]
-) -> None:
-    """In the child: answer requests until the parent has ended."""
+def _main(pipe: Connection, planner: PlanFunction, prepare: Callable[[], object]) -> None:
+    """In the child: answer requests until the parent has ended.
+
+    It says None once it is ready, and of each request the answer, or why there is none.
+    """
     for number in (signal.SIGINT, signal.SIGTERM):  # it ends with its parent, who says farewell
         signal.signal(number, signal.SIG_IGN)
     os.dup2(2, 1)  # what is printed must not mix with what the parent says to machines
     end_with_parent()
-    load_libraries()
     prepare()
     gc.collect()
     gc.freeze()  # looking through what numba has loaded would hold a plan up for 0.2 s
     known: KnownMap | None = None
+    began_s = searching_s = 0.0
+
+    def enough() -> bool:
+        """Whether the time is over, or the parent says that nobody waits for the answer."""
+        is_over = time.perf_counter() - began_s > searching_s
+        return is_over or bool(select.select([pipe], (), (), 0.0)[0])
+
     with contextlib.suppress(EOFError, OSError):
-        pipe.send(_READY)
+        pipe.send(None)
         while True:
-            count, text = pipe.recv()
-            arrays = [bytearray(pipe.recv_bytes()) for _ in range(count)]
-            request, news = pickle.loads(text, buffers=arrays)
-            known = news.after(known)
-            pipe.send(_outcome(replace(request, known=known), enough, planner))
-
-
-def _outcome(
-    request: PlanRequest, enough: c_int64, planner: PlanFunction
-) -> PlanOutcome | PlannerEndedError:
-    try:
-        return planner(request, lambda: enough.value == request.plan_id)
-    except Exception as error:  # noqa: BLE001 - the parent puts the vehicle on hold
-        return PlannerEndedError(f"{type(error).__name__}: {error}")
-
-
-# --- the thread that waits for it
-
-
-@final
-class PlannerWorker:
-    """Computes plans in a thread, one at a time; of those asked for the newest counts."""
-
-    def __init__(self, planner: PlanFunction, on_answer: OnAnswer, *, lockstep: bool) -> None:
-        self.part, self.ready = Worker("planner"), threading.Event()
-        self._newest = 0
-        self._planner, self._on_answer, self._lockstep = planner, on_answer, lockstep
-        self._requests: queue.SimpleQueue[tuple[int, PlanRequest]] = queue.SimpleQueue()
-        self._left = False
-
-    def ask(self, number: int, request: PlanRequest) -> None:
-        """Compute a request; the search in progress may stop."""
-        self._newest = number
-        self._requests.put((number, request))
-
-    def run(self) -> None:
-        """Answer requests until stopped; an exception of the planner ends it."""
-        process = self._planner if isinstance(self._planner, PlannerProcess) else None
-        if process is not None:
-            self.part.beat(_STARTS_S)
-            try:
-                process.start()
-            except OSError:  # no room for another process
-                self._planner, process = plan, None
-        load_libraries()
-        self.ready.set()
-        self.part.idle()
-        while not self._left:
-            try:
-                number, request = self._requests.get(timeout=_ALIVE_S)
-            except queue.Empty:
-                if process is not None:
-                    process.check()
+            told = pipe.recv()
+            if told is None:  # it came too late to stop anything
                 continue
-            self.part.beat(request.time_s + _SLACK_S)
-            began_s = time.perf_counter()
-            outcome = self._planner(request, self._enough(request, number, began_s))
-            self.part.idle()
-            self._on_answer(number, outcome, time.perf_counter() - began_s)
-
-    def leave(self) -> None:
-        """Stop, in the middle of a plan if the planner supports it."""
-        self._left = True
-        if isinstance(self._planner, PlannerProcess):
-            self._planner.close()
-
-    def _enough(self, request: PlanRequest, number: int, began_s: float) -> Callable[[], bool]:
-        """When to stop searching: before T is over in real time, or if obsolete."""
-        due_s = began_s + _SEARCHING * request.time_s
-        return lambda: (
-            self._left
-            or (not self._lockstep and (time.perf_counter() > due_s or number < self._newest))
-        )
+            request, news, searching_s = told
+            known, began_s = news.after(known), time.perf_counter()
+            try:
+                outcome = planner(replace(request, known=known), enough)
+            except Exception as error:  # noqa: BLE001 - the parent puts the vehicle on hold
+                pipe.send(f"{type(error).__name__}: {error}")
+            else:
+                pipe.send((outcome, time.perf_counter() - began_s))

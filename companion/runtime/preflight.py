@@ -13,8 +13,8 @@ from companion.session import Session
 _POLL_S: Final = 0.1
 _DEADLINE_S: Final = 60.0
 _SILENT_S: Final = 10.0
-_MIN_S: Final = 1.5  # after everything was answered: one link delay more is measured
-_MAX_S: Final = 5.0  # for rates and delays that do not come
+_MIN_S: Final = 1.5  # after everything was answered: what is said late counts too
+_MAX_S: Final = 5.0  # for messages that do not come
 _SCAN_S: Final = 20.0
 
 
@@ -50,7 +50,7 @@ def run_preflight(
         waiting = waiting_for(session)
         if vehicle is not None and not waiting:
             answered_s = min(answered_s, now_s)
-            settled = not vehicle.streams.missing and vehicle.round_trip_s is not None
+            settled = not vehicle.streams.missing
             scans = session.last_scan is None and 0.0 <= now_s - scanned_s < _SCAN_S
             if not scans and now_s - answered_s > (_MIN_S if settled else _MAX_S):
                 return

@@ -3,19 +3,20 @@
 import queue
 import threading
 from collections.abc import Callable
-from typing import final
+from typing import Final, final
 
 from companion.mavlink.link import Output
 from companion.runtime.keys import SAVE_EVERY_S
-from companion.runtime.watchdog import Clock, Failure, Worker
+from companion.runtime.watchdog import Clock, Failure
 from companion.telemetry.run_folder import RunFolder
 
-_DISK_S = 2.0
+WRITER: Final = "writer"
+"""The name of the part."""
+_STATE: Final = "state for --resume"
+_DISK_S = 2.0  # for one output: more is too slow
+_LOOK_S: Final = 0.1  # between two outputs, or the computer was asleep
 _MOST_WAITING = 32 * 2**20  # bytes
 _LEAVE_S = 5.0
-WRITER = "writer"
-"""The name of the part."""
-_STATE = "state for --resume"
 
 
 @final
@@ -34,8 +35,8 @@ class Recorder:
 
         portion: so many outputs are written at once.
         """
-        self.folder = folder
-        self._clock, self._on_loss, self._persist = clock, on_loss, persist
+        self.folder, self.clock = folder, clock
+        self._on_loss, self._persist = on_loss, persist
         self._persisted_s = clock()
         self._unwritten: list[Output] = []
         self._portion = portion
@@ -52,6 +53,12 @@ class Recorder:
         self._write()
         self._persist()
 
+    def tell(self, part: str, why: str | None) -> None:
+        """Tell of a loss, unless there is none or it was told."""
+        if why is not None and part not in self._told:
+            self._told.add(part)
+            self._on_loss(Failure(part, why))
+
     def _write(self) -> None:
         """The newest map comes before the newest checkpoint, which may build on it."""
         outs, self._unwritten, folder = self._unwritten, [], self.folder
@@ -63,31 +70,31 @@ class Recorder:
                 folder.known_map(known[-1])
             if kept := [out.checkpoint for out in outs if out.checkpoint is not None]:
                 folder.checkpoint(kept[-1])
-            if self._clock() - self._persisted_s >= SAVE_EVERY_S:
-                self._persisted_s = self._clock()
+            if self.clock() - self._persisted_s >= SAVE_EVERY_S:
+                self._persisted_s = self.clock()
                 self._persist()
         except Exception as error:  # noqa: BLE001 - no recording is worth a flight
             folder.failure = f"{type(error).__name__}: {error}"
-        for part, failure in ((WRITER, folder.failure), (_STATE, folder.unsaved)):
-            if failure is not None and part not in self._told:
-                self._told.add(part)
-                self._on_loss(Failure(part=part, error=failure))
+        self.tell(WRITER, folder.failure)
+        self.tell(_STATE, folder.unsaved)
 
 
 @final
 class WriterThread:
-    """Writes in a thread of its own and never blocks the control loop."""
+    """Writes in a thread of its own and never blocks the loop."""
 
     def __init__(self, recorder: Recorder) -> None:
-        self.part = Worker(WRITER, vital=False)
         self._recorder = recorder
         self._outputs: queue.SimpleQueue[Output | None] = queue.SimpleQueue()
         self._put_bytes = self._written_bytes = 0  # each is changed by one thread only
-        self._done = threading.Event()
+        self._seen_bytes, self._seen_s, self._still_s = 0, recorder.clock(), 0.0
+        self._thread = threading.Thread(target=self._run, name=WRITER, daemon=True)
+        self._thread.start()
 
     def put(self, out: Output) -> None:
         """Queue an output; once the queue is full nothing more is recorded."""
         folder = self._recorder.folder
+        self._look()
         if folder.failure is not None and out.checkpoint is None:
             return
         if self._put_bytes - self._written_bytes > _MOST_WAITING:
@@ -96,25 +103,27 @@ class WriterThread:
         self._put_bytes += out.size
         self._outputs.put(out)
 
-    def run(self) -> None:
-        """Write until stopped."""
-        self.part.idle()
-        try:
-            while (out := self._outputs.get()) is not None:
-                self.part.beat(_DISK_S)
-                self._recorder.put(out)
-                self._written_bytes += out.size
-                self.part.idle()
-            self._recorder.close()
-        finally:
-            self._done.set()
-
     def close(self) -> None:
         """Wait until all is written, as long as there is progress."""
         self._outputs.put(None)
         before = -1
-        while not self._done.wait(_LEAVE_S):
-            if self._written_bytes == before:
-                self._recorder.folder.failure = "the disk does not answer"
-                return
+        while self._thread.is_alive() and self._written_bytes != before:
             before = self._written_bytes
+            self._thread.join(_LEAVE_S)
+        if self._thread.is_alive():
+            self._recorder.folder.failure = "the disk does not answer"
+
+    def _look(self) -> None:
+        """Tell of a disk that has stood still for too long."""
+        now_s = self._recorder.clock()
+        waits = self._written_bytes == self._seen_bytes < self._put_bytes
+        self._still_s = waits * (self._still_s + min(now_s - self._seen_s, _LOOK_S))
+        self._seen_bytes, self._seen_s = self._written_bytes, now_s
+        if self._still_s > _DISK_S:
+            self._recorder.tell(WRITER, f"it has stood still for {self._still_s:.1f} s")
+
+    def _run(self) -> None:
+        while (out := self._outputs.get()) is not None:
+            self._recorder.put(out)
+            self._written_bytes += out.size
+        self._recorder.close()

@@ -1,9 +1,8 @@
-"""Watchdog over the worker threads, and the gate that it shuts: a dead companion never streams.
+"""Watchdog over the loop, and the gate that it shuts: a dead companion never streams.
 
-The workers (planner, control loop, writer) beat; one that has died or stalled is detected
-within _TICK_S of its limit.  Then, within 300 ms of the death, no frame of the session is sent any
-more, heartbeats included, and the watchdog itself puts the autopilot on hold (design 7, mavlink.md
-C1, C2).  The writer is not vital: a flight goes on without its recording.
+The loop beats; once it has died, or stalled, that is noticed within _TICK_S of its limit.  Then,
+within 300 ms of the death, no frame of the session is sent any more, heartbeats included, and the
+watchdog itself puts the autopilot on hold (design 7, mavlink.md C1, C2).
 """
 
 import contextlib
@@ -11,16 +10,16 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import final
+from typing import Final, NamedTuple, final
 
 from companion.runtime.link import Link, is_setpoint
+from companion.session import Session
 
 Clock = Callable[[], float]
 """Seconds that only ever grow, of this computer."""
 
 STALL_S = 0.2
-"""How long a worker may stall while setpoints are streamed."""
+"""How long the loop may stall while setpoints are streamed."""
 IDLE_STALL_S = 5.0
 """The same without a stream: a busy computer at start-up is no danger."""
 SETPOINT_AGE_S = 0.5
@@ -31,37 +30,15 @@ _TICK_S = 0.025
 _HOLD_AGAIN_S = (0.0, 0.3, 0.7)
 """Waits before each time that the hold is sent: a datagram may get lost."""
 _LOCK_S = 0.05
+DECIDER: Final = "decider"
+"""The name of the loop, as a part."""
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Failure:
-    """A worker that has died."""
+class Failure(NamedTuple):
+    """A part of the companion that has died."""
 
     part: str
     error: str
-
-
-@final
-class Worker:
-    """One worker thread, as seen by the watchdog."""
-
-    def __init__(self, name: str, *, vital: bool = True) -> None:
-        self.name, self.vital = name, vital
-        self.limit_s = math.inf
-        self.beats = self.seen = 0
-        """Beats, and how many of them the watchdog has seen."""
-        self.still_s = 0.0
-        """For how long the watchdog has seen no beat."""
-
-    def beat(self, limit_s: float) -> None:
-        """Alive; the next beat comes within limit_s."""
-        self.limit_s = limit_s
-        self.beats += 1
-
-    def idle(self) -> None:
-        """Alive and idle."""
-        self.beat(math.inf)
 
 
 @final
@@ -69,44 +46,41 @@ class Gate:
     """The session's only way to the link.  Once shut it stays shut."""
 
     def __init__(
-        self,
-        link: Link,
-        clock: Clock,
-        signed: Callable[[list[bytes]], list[bytes]] = list,
+        self, link: Link, clock: Clock, signed: Callable[[list[bytes]], list[bytes]] = list
     ) -> None:
         """signed: signs the watchdog's frames, for a link whose peer demands it."""
         self._link, self._clock, self._signed = link, clock, signed
         self._lock = threading.Lock()
-        self._is_shut = False
+        self.is_shut = False
         self._streamed_s = -math.inf
 
-    @property
-    def is_shut(self) -> bool:
-        """Whether it is shut."""
-        return self._is_shut
-
     def stall_limit_s(self) -> float:
-        """How long a worker may stall now."""
+        """How long the loop may stall now."""
         return STALL_S if self._clock() - self._streamed_s < STREAMING_S else IDLE_STALL_S
 
-    def send(self, frames: list[bytes], since_s: float | None = None) -> list[bytes]:
-        """Send frames; those that were sent: none if the gate is shut, and no stale setpoint.
+    def send(self, frames: list[bytes], since_s: float | None = None) -> list[int]:
+        """Send frames; the numbers of those that were not sent: all if the gate is shut.
 
-        since_s: when what they answer has arrived; None: setpoints are sent whatever their age.
+        since_s: when what they answer has arrived.  After a delay several positions are answered at
+        once: only the last setpoint counts, and a stale one not at all.  None: the vehicle waits,
+        and all are sent.
         """
+        setpoints = [number for number, frame in enumerate(frames) if is_setpoint(frame)]
+        unsent = list[int]()
         with self._lock:
-            if self._is_shut:
-                return []
-            if since_s is not None and self._clock() - since_s > SETPOINT_AGE_S:
-                frames = [frame for frame in frames if not is_setpoint(frame)]
-            self._link.send(frames)
-        if any(map(is_setpoint, frames)):
+            if self.is_shut:
+                return [*range(len(frames))]
+            if since_s is not None:
+                is_stale = self._clock() - since_s > SETPOINT_AGE_S
+                unsent = setpoints if is_stale else setpoints[:-1]
+            self._link.send([each for at, each in enumerate(frames) if at not in unsent])
+        if len(unsent) < len(setpoints):
             self._streamed_s = self._clock()
-        return frames
+        return unsent
 
     def shut(self) -> None:
         """Shut: no frame of the session is sent from now on, except one being sent just now."""
-        self._is_shut = True
+        self.is_shut = True
 
     def send_last(self, frames: list[bytes]) -> None:
         """Send the watchdog's own unsigned frames through the shut gate, without waiting.
@@ -124,122 +98,76 @@ class Gate:
 
 @final
 class Watchdog:
-    """Supervises the workers in a thread of its own."""
+    """Looks after the loop from another thread: that of `watch`."""
 
     def __init__(
         self,
         gate: Gate,
+        session: Session,
         *,
         clock: Clock,
-        hold_frames: Callable[[], list[bytes]],
-        final_text: Callable[[str], list[bytes]] = lambda _: [],
         on_failure: Callable[[Failure, list[bytes]], None],
-        on_loss: Callable[[Failure], None],
         watches_time: bool = True,
     ) -> None:
-        """A watchdog that is started by start().
+        """on_failure: told of a death, and of the frames that are sent on it.
 
-        hold_frames: makes the frames that put the autopilot on hold; final_text: those with the
-        reason as text.  on_failure: told of a vital worker's end, and of the frames that are sent
-        on it; on_loss: of the end of a worker that is not vital.  watches_time: False in lockstep,
-        where nothing depends on wall time: workers are only checked for death.
+        watches_time: False in lockstep, where nothing depends on wall time.
         """
         self.failure: Failure | None = None
-        self._gate, self._clock = gate, clock
-        self._hold_frames, self._final_text = hold_frames, final_text
-        self._on_failure, self._on_loss = on_failure, on_loss
-        self._watches_time = watches_time
-        self._parts: list[Worker] = []
-        self._reserve: list[bytes] = []
-        self._first = threading.Lock()
-        self._wake = threading.Event()
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="watchdog", daemon=True)
+        self.reserve: list[bytes] = []
+        """Hold frames, sent if none can be made when needed."""
+        self._gate, self._session, self._clock = gate, session, clock
+        self._on_failure, self._watches_time = on_failure, watches_time
+        self._error = ""
+        self._limit_s, self._beats = math.inf, 0
+        self._seen, self._seen_s, self._still_s = 0, math.nan, 0.0
 
-    def start(self) -> None:
-        """Begin to look."""
-        self._thread.start()
+    def beat(self) -> None:
+        """The loop is alive; how soon it has to beat again depends on whether it streams."""
+        if self._watches_time:
+            self._limit_s = self._gate.stall_limit_s()
+            self._beats += 1
 
-    def watch(self, part: Worker, work: Callable[[], None]) -> None:
-        """Start a worker in a thread of its own, whose end is detected."""
-
-        def guarded() -> None:
-            try:
-                work()
-            except BaseException as error:  # noqa: BLE001 - whatever it was, the worker is dead
-                self.died(part, f"{type(error).__name__}: {error}")
-            else:
-                self._forget(part)
-
-        self._parts.append(part)
-        threading.Thread(target=guarded, name=part.name, daemon=True).start()
-
-    def reserve(self, frames: list[bytes]) -> None:
-        """Store hold frames, sent if none can be made when needed."""
-        self._reserve = frames
-
-    def died(self, part: Worker, error: str) -> None:
-        """A worker has ended, or must be considered dead."""
-        self._forget(part)
-        if self._ended.is_set():
-            return
-        failure = Failure(part=part.name, error=error)
-        if not part.vital:
-            self._on_loss(failure)
-            return
-        if not self._first.acquire(blocking=False):
-            return  # another was first; all is stopped already
+    def died(self, error: str) -> None:
+        """The loop ends with an error."""
         self._gate.shut()
-        self.failure = failure
-        self._wake.set()
+        self._error = error
 
-    def end(self, timeout_s: float) -> None:
-        """Stop; a hold that is being sent is completed."""
-        self._ended.set()
-        if self.failure is None:
-            self._wake.set()
-        if self._thread.ident is not None:
-            self._thread.join(timeout_s)
+    def watch(
+        self,
+        ended: threading.Event,
+        enough: Callable[[], bool] = lambda: False,
+        longest_s: float = math.inf,
+    ) -> None:
+        """Watch the loop until it has ended; less if that is enough, or takes too long."""
+        self._seen_s, until_s = self._clock(), time.monotonic() + longest_s
+        while not (ended.wait(_TICK_S) or enough() or time.monotonic() > until_s):
+            self._look()
+        if self._error:
+            self._hold(self._error)
 
-    def check(self) -> None:
-        """Check the workers if the watchdog's own thread has died."""
-        if not self._thread.is_alive() and self.failure is None:
-            self.died(Worker("watchdog"), "its thread has ended")
-            self._hold()
+    def _look(self) -> None:
+        now_s = self._clock()
+        # A computer that was asleep, or too busy to look, says nothing about the loop.
+        more_s = min(now_s - self._seen_s, 2.0 * _TICK_S)
+        self._still_s = 0.0 if self._seen != self._beats else self._still_s + more_s
+        self._seen, self._seen_s = self._beats, now_s
+        if self._still_s > self._limit_s:
+            self._hold(f"it has stood still for {self._still_s:.1f} s")
 
-    # --- its thread
-
-    def _forget(self, part: Worker) -> None:
-        if part in self._parts:
-            self._parts.remove(part)
-
-    def _run(self) -> None:
-        looked_s = self._clock()
-        while not self._wake.wait(_TICK_S):
-            now_s = self._clock()
-            # A computer that was asleep, or too busy to look, says nothing about the parts.
-            self._look(min(now_s - looked_s, 2.0 * _TICK_S))
-            looked_s = now_s
+    def _hold(self, error: str) -> None:
+        """Put the vehicle on hold, once; the session is notified after its frames were made."""
         if self.failure is not None:
-            self._hold()
-
-    def _look(self, elapsed_s: float) -> None:
-        for part in tuple(self._parts) if self._watches_time else ():
-            part.still_s = 0.0 if part.beats != part.seen else part.still_s + elapsed_s
-            part.seen = part.beats
-            if part.still_s > part.limit_s:
-                self.died(part, f"it has stood still for {part.still_s:.1f} s")
-
-    def _hold(self) -> None:
-        """Put the vehicle on hold; the session is notified after its hold frames were made."""
-        assert self.failure is not None
+            return
+        self._gate.shut()
+        self.failure = Failure(DECIDER, error)
         try:
-            frames = self._hold_frames()
+            frames = self._session.hold_frames()
         except Exception:  # noqa: BLE001 - the session is what may have died
-            frames = self._reserve
+            frames = self.reserve
         words: list[bytes] = []
         with contextlib.suppress(Exception):  # that it holds is what counts
-            words = self._final_text(f"the {self.failure.part} has died ({self.failure.error})")
+            words = self._session.final_text(f"the {DECIDER} has died ({error})")
         self._on_failure(self.failure, [*frames, *words])
         for wait_s in _HOLD_AGAIN_S:
             time.sleep(wait_s)

@@ -7,7 +7,7 @@ session: its name, then its arguments.
     receive       frames without signatures, and when they arrived
     run           handle them; what follows from it is in flight.tlog and journal.jsonl
     deliver       the answer of the planner (`planner.request`)
-    silence, stop, part_died, recording_stopped, complain, farewell
+    silence, stop, part_died, complain, farewell
     unsent        numbers of the frames of the last run that were not sent after all
     raised        the part that decides has ended with an error: the call of the session that it
                   came out of ("" if none), and the error; none of its last frames were sent

@@ -23,10 +23,8 @@ _WORDS: Final[dict[type[Entry], str]] = {
     noted.VehicleFound: "found {0.name}, system {0.system_id}",
     noted.VehicleSays: "vehicle: {0.text}",
     noted.VehicleRebooted: "the autopilot has rebooted",
-    noted.LinkDelay: "link delay: {0.round_trip_s:.3f} s to the vehicle and back",
     noted.LinkLost: "link lost: nothing was heard for {0.silent_s:g} s",
     noted.AnotherCompanion: "another companion uses the same ids",
-    noted.MessagesDropped: "{0.count} messages dropped: they arrived faster than they are handled",
     noted.ModeAsked: "asks for the mode {0.mode.value}",
     noted.ArmAsked: "arms the vehicle",
     noted.DisarmAsked: "disarms the vehicle",
@@ -38,7 +36,7 @@ _WORDS: Final[dict[type[Entry], str]] = {
 """Of those that people would miss; fence, targets and preparations are said, too."""
 _BAD: Final = (
     *(noted.Resumed, noted.StopAsked, noted.PlanRefused, noted.PlanLate, noted.VehicleRebooted),
-    *(noted.LinkLost, noted.AnotherCompanion, noted.MessagesDropped, noted.SetpointRefused),
+    *(noted.LinkLost, noted.AnotherCompanion, noted.SetpointRefused),
     noted.PartDied,
 )
 

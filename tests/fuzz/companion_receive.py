@@ -267,7 +267,7 @@ class Run:
             case 3:
                 session.stop()
             case 4:
-                session.recording_stopped("no space left on device")
+                session.complain("no space left on device")
             case _:
                 assert all(len(frame) <= 305 for frame in session.hold_frames())
         self.run()

@@ -72,7 +72,7 @@ class Side:
     def on_time(self, now_s: float) -> list[Any]:
         begin = [] if self._has_begun else self.client.streams.begin(now_s)
         self._has_begun = True
-        return begin + self.client.on_time(now_s, None)
+        return begin + self.client.on_time(now_s)
 
     def told(self, *kinds: type) -> list[Any]:
         return [event for event in self.events if isinstance(event, kinds)]
@@ -222,7 +222,7 @@ def test_by_another_clock_the_same_is_asked_at_the_same_moments(shift_s: float) 
         side.client.rebase_time(shifted_s)
         now_s = side.held.now_s + shifted_s
         times_s = (now_s + 0.097 * k for k in range(100))  # unanswered; no wait ends at one of them
-        said = (side.client.on_time(at_s, None) for at_s in times_s)
+        said = (side.client.on_time(at_s) for at_s in times_s)
         asked.append([sorted(bytes(each.pack(codec(1))) for each in told) for told in said])
     assert asked[0] == asked[1]
     assert len([told for told in asked[0] if told]) > 10
@@ -250,7 +250,7 @@ def plane_told_its_speed() -> tuple[AutopilotClient, Any]:
 
 def times_told(side: AutopilotClient, from_s: float) -> int:
     """How often a plane is told in the next 10 s."""
-    said = [each for tenth in range(100) for each in side.on_time(from_s + tenth / 10, None)]
+    said = [each for tenth in range(100) for each in side.on_time(from_s + tenth / 10)]
     return [each.get_type() for each in said].count("COMMAND_INT")
 
 

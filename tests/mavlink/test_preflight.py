@@ -96,7 +96,7 @@ def looked() -> Pair:
 
 def test_a_vehicle_that_may_fly_passes_and_each_line_names_what(good: Pair) -> None:
     assert good.refused == []
-    passed = "vehicle, messages, fence, targets, position, take-off, place, battery, link delay"
+    passed = "vehicle, messages, fence, targets, position, take-off, place, battery"
     assert {good.status(name) for name in passed.split(", ")} == {"ok"}
     assert good.status("radar") == "note"
     for check in checks_of(good.session):
@@ -170,9 +170,6 @@ LEVEL, HIGHER = (
 @pytest.mark.parametrize(
     "case",
     [
-        ("link", {"round_trip_s": 0.1}, "link delay", "ok", ""),
-        ("link", {"round_trip_s": 0.8}, "link delay", "refused", ""),
-        ("link", {"round_trip_s": None}, "link delay", "note", ""),
         ("vehicle", {"position_nea_m": (5000.0, 0.0, 488.0)}, "place", "refused", ""),
         ("vehicle", {"position_nea_m": HIGH, "home_nea_m": HIGH}, "take-off", "refused", "floor"),
         ("vehicle", {"armed": True}, "armed", "refused", "somebody else"),
@@ -191,9 +188,9 @@ LEVEL, HIGHER = (
 def test_what_is_seen(looked: Pair, monkeypatch: pytest.MonkeyPatch, case: Any) -> None:
     part, changes, check, status, words = case
     session = looked.session
-    state, seen = session.state, {"link": session.vehicle, "session": session}
-    for name, value in changes.items() if part in seen else ():
-        monkeypatch.setattr(seen[part], name, value)
+    state = session.state
+    for name, value in changes.items() if part == "session" else ():
+        monkeypatch.setattr(session, name, value)
     if part == "mission":
         monkeypatch.setattr(session, part, replace(session.mission, **changes))
     elif part == "vehicle":

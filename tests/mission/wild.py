@@ -437,7 +437,6 @@ class Wild(Program):
                     events.Home(time_s=now, position_nea_m=home),
                     events.Origin(time_s=now, position_nea_m=far),
                     events.Echo(time_s=now, position_nea_m=far),
-                    events.LinkDelay(time_s=now, round_trip_s=self.drawn((0.0, 0.2, 3.0))),
                     events.Battery(time_s=now, remaining=float(rng.random())),
                     events.Prepared(time_s=now, item=Item.PLANS, refusal="made up"),
                     events.PlanLate(time_s=now, plan_id=self.drawn(range(9))),

@@ -13,6 +13,7 @@ from companion.mission.start import Start
 from companion.replay.differences import Replayed
 from companion.replay.reproduce import Replay
 from companion.runtime import loop
+from companion.runtime.planner_process import PlannerHere
 from companion.session import Session
 from companion.sources.files import toml_table, toml_text
 from companion.telemetry.flight_summary import FlightSummary
@@ -49,7 +50,7 @@ def fly_short(
             lockstep=lockstep,
             on_progress=lambda _: None,
             stop_asked=lambda: vehicle.time_ms >= 1e3 * until_s,
-            planner=straight_plan,
+            planner=PlannerHere(straight_plan),
         )
 
 

@@ -66,10 +66,10 @@ class StubSession:
     arrived_s: list[float] = field(default_factory=list)
     delivered: list[Any] = field(default_factory=list)
     died: list[tuple[str, str]] = field(default_factory=list)
-    stopped: list[str] = field(default_factory=list)
     silences_s: list[float] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
     end: End | None = None
+    has_left: bool = False
     mission: Any = field(default_factory=lambda: load_mission("valley"))
     state: Any = field(
         default_factory=lambda: SimpleNamespace(
@@ -92,7 +92,11 @@ class StubSession:
         out.end, out.settled = self.end, True
         return out
 
-    run = farewell = take_output
+    run = take_output
+
+    def farewell(self) -> Output:
+        self.has_left = True
+        return self.take_output()
 
     def signed(self, frames: list[bytes]) -> list[bytes]:
         return frames
@@ -117,14 +121,13 @@ class StubSession:
 
     def part_died(self, part: str, error: str) -> None:
         self.died.append((part, error))
+        self.out.frames.append(HOLD)
+        self.out.record.append((self.now_s, HOLD))
         self.out.journal.append({"t_s": self.now_s, "kind": "end", "reason": part})
         self.end = End(outcome=Outcome.FAILED, reason=f"{part} died", remedy="")
 
     def complain(self, text: str) -> None:
         self.complaints.append(text)
-
-    def recording_stopped(self, why: str) -> None:
-        self.stopped.append(why)
 
 
 class QueueLink(Link):

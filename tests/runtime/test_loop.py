@@ -11,14 +11,14 @@ from typing import Any
 
 import pytest
 from scripted_vehicle import MISSION, Vehicle, straight_plan
-from stub_session import HEARTBEAT, HOLD, SETPOINT, QueueLink, StubSession, as_any
+from stub_session import QueueLink, StubSession, as_any
 
 from companion.mission.events import Outcome
 from companion.mission.state import Reason
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.runtime import loop
-from companion.runtime.control_loop import ControlLoop, newest_setpoint
 from companion.runtime.link import Link
+from companion.runtime.planner_process import PlannerHere
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.run_folder import RunFolder
@@ -59,7 +59,7 @@ def fly(
     """Of the scripted vehicle in lockstep, or whatever else is said."""
     session = session or Session(MISSION, seed=1, lockstep=True, go=True)
     usual: dict[str, Any] = {"lockstep": True, "stop_asked": lambda: False}
-    usual |= {"on_progress": lambda _: None, "planner": straight_plan}
+    usual |= {"on_progress": lambda _: None, "planner": PlannerHere(straight_plan)}
     return loop.fly(session, link, folder, **usual | keywords)
 
 
@@ -88,7 +88,7 @@ def test_a_flight_in_lockstep_ends_at_its_target_and_its_folder_holds_all_that_w
         return replace(straight_plan(request, stop), stopped_after=2)
 
     link = ScriptedLink(Vehicle())
-    flown = fly(link, folder, planner=cut)
+    flown = fly(link, folder, planner=PlannerHere(cut))
     assert flown.end is not None
     assert flown.end.outcome is Outcome.ARRIVED
     assert len(flown.plans) == len(flown.plans_s) == flown.out_of_time == 1
@@ -152,18 +152,24 @@ def test_while_its_planner_is_loaded_it_sends_heartbeats_and_listens_to_ctrl_c_a
         now_s += 0.1
         return now_s
 
-    def is_ready() -> bool:
-        link.incoming.put(vehicle.tick())
-        heard.append(control.flown.heard)
-        return now_s > waits_s
+    class Loading:
+        """A planner that is ready after a while."""
+
+        @property
+        def is_ready(self) -> bool:
+            link.incoming.put(vehicle.tick())
+            heard.append(control.flown.heard)
+            return now_s > waits_s
+
+        def answer(self, _wait_s: float) -> None:
+            pass
 
     def stop_asked() -> bool:
         link.incoming.put(vehicle.tick())
         return now_s > waits_s + (-10.0 if stopped else 10.0)
 
-    session = Session(MISSION, seed=1, lockstep=False)
-    control = ControlLoop(session, link, lockstep=False, clock=clock, stop_asked=stop_asked)
-    control.planner_is_ready = is_ready
+    session, planner = Session(MISSION, seed=1, lockstep=False), as_any(Loading())
+    control = loop.Loop(session, link, planner, lockstep=False, clock=clock, stop_asked=stop_asked)
     control.run()
     assert not any(heard)
     assert control.flown.heard is not stopped
@@ -201,12 +207,6 @@ def test_a_word_from_the_past_is_not_taken_for_news(folder: RunFolder) -> None:
     link.incoming.put(b"before it starts")
     stream(session, link, folder, over, first=b"first")
     assert session.received == [b"first", b"new"]
-
-
-def test_of_setpoints_that_are_due_together_only_the_newest_is_sent() -> None:
-    newest = SETPOINT[:-1] + b"x"
-    assert newest_setpoint([SETPOINT, HEARTBEAT, newest, HOLD]) == [HEARTBEAT, newest, HOLD]
-    assert newest_setpoint([HEARTBEAT, HOLD]) == [HEARTBEAT, HOLD]
 
 
 def test_what_must_outlive_the_process_is_kept_now_and_then_and_at_the_end(

@@ -1,65 +1,56 @@
 """A planner in a process of its own: the same plans, and no way to take the flight down with it."""
 
 import contextlib
-import importlib
 import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import odd_planners as odd
 import pytest
-from stub_session import request_of
+from stub_session import PATIENCE_S, request_of
 
 from companion.planner.plan import plan
-from companion.planner.request import Planned
+from companion.planner.request import Planned, PlanRequest
 from companion.runtime.planner_process import PlannerEndedError, PlannerProcess
-from companion.world.known_map import KnownMap
-
-Made = Callable[[str], PlannerProcess]
-
-
-def never() -> bool:
-    return False
 
 
 @pytest.fixture
-def planner() -> Iterator[PlannerProcess]:
-    with contextlib.closing(PlannerProcess()) as made:
-        yield made
+def stack() -> Iterator[contextlib.ExitStack]:
+    with contextlib.ExitStack() as stack:
+        yield stack
 
 
-@pytest.fixture
-def odd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Made]:
-    """Makes a process that does what the text of a module says."""
-    made: list[PlannerProcess] = []
+def of(stack: contextlib.ExitStack, *does: Any, **keywords: Any) -> PlannerProcess:
+    """One that is ready; as `plan` does if nothing is said."""
+    made = stack.enter_context(contextlib.closing(PlannerProcess(*does, **keywords)))
+    while not made.is_ready:
+        assert made.answer(PATIENCE_S) is None
+    return made
 
-    def make(text: str) -> PlannerProcess:
-        (tmp_path / "odd_planner.py").write_text(text, encoding="utf-8")
-        monkeypatch.syspath_prepend(str(tmp_path))
-        sys.modules.pop("odd_planner", None)
-        module = importlib.import_module("odd_planner")
-        made.append(PlannerProcess(module.plan, module.prepare))
-        return made[-1]
 
-    yield make
-    for each in made:
-        each.close()
+def planned(planner: PlannerProcess, request: PlanRequest) -> Any:
+    planner.ask(request)
+    answer = planner.answer(PATIENCE_S)
+    assert answer is not None
+    assert planner.answer() is None  # once
+    return answer[0]
 
 
 def test_a_plan_is_the_same_from_another_process_which_is_started_once_and_answers_any_number(
-    planner: PlannerProcess,
+    stack: contextlib.ExitStack,
 ) -> None:
-    planner.start()
-    before = planner.pid
-    planner.start()
-    assert planner.pid == before
-    assert [planner(request_of(number), never).plan_id for number in (1, 2, 3)] == [1, 2, 3]
+    planner = of(stack)
+    before = planner.process
+    assert [planned(planner, request_of(number)).plan_id for number in (1, 2, 3)] == [1, 2, 3]
+    assert planner.process is before
     request = request_of(7)
-    expected, found = plan(request, never), planner(request, never)
+    expected, found = plan(request, lambda: False), planned(planner, request)
     assert type(found) is type(expected)
     if isinstance(expected, Planned):
         assert isinstance(found, Planned)
@@ -67,58 +58,70 @@ def test_a_plan_is_the_same_from_another_process_which_is_started_once_and_answe
         np.testing.assert_allclose(found.subpath.control_nea_m, control, atol=1e-6)
 
 
-def test_arrays_arrive_as_they_were_whatever_their_order_in_memory(odd: Made) -> None:
-    planner = odd("prepare = int\ndef plan(request, stop): return request.known\n")
-    request = request_of(1)
+def test_arrays_arrive_as_they_were_whatever_their_order_in_memory(
+    stack: contextlib.ExitStack,
+) -> None:
+    planner, request = of(stack, odd.echoes, odd.nothing), request_of(1)
     heights = np.arange(1_000_000.0).reshape(1000, 1000)
     heights[3, :3] = np.nan, np.inf, -np.inf
     frozen = heights.copy()
     frozen.setflags(write=False)
     for upper_m in (heights, heights.T, heights[::3, 1:-5], heights[:0], frozen):
         known = replace(request.known, upper_m=upper_m, seen=upper_m > 7.0)
-        echo = planner(replace(request, known=known), never)
-        assert isinstance(echo, KnownMap)
+        echo = planned(planner, replace(request, known=known)).known
         np.testing.assert_array_equal(echo.upper_m, upper_m)
         np.testing.assert_array_equal(echo.seen, known.seen)
 
 
-NOISY = """
-def plan(request, stop):
-    if request.plan_id == 1: raise ZeroDivisionError("made up")
-    while not stop(): pass
-    return "stopped"
-def prepare():
-    print("noise on the standard output")
-"""
-
-
 def test_a_plan_that_raises_is_an_error_with_its_words_and_what_it_prints_is_no_output_of_ours(
-    odd: Made, capfd: pytest.CaptureFixture[str]
+    stack: contextlib.ExitStack, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    planner, asked = odd(NOISY), list[int]()
     capfd.readouterr()
+    planner = of(stack, odd.raises, odd.is_noisy)
+    planner.ask(request_of(1))
     with pytest.raises(PlannerEndedError, match="ZeroDivisionError: made up"):
-        planner(request_of(1), never)
-
-    def stop() -> bool:
-        asked.append(1)
-        return len(asked) > 3
-
-    assert str(planner(request_of(2), stop)) == "stopped"
+        planner.answer(PATIENCE_S)
     assert capfd.readouterr().out == ""
 
 
-def test_a_process_that_does_not_come_up_is_an_error(odd: Made) -> None:
-    planner = odd("import sys\ndef prepare(): sys.exit(3)\nplan = prepare\n")
+@pytest.mark.parametrize("hurries", [True, False])
+def test_of_two_plans_that_are_asked_for_only_the_newer_counts_and_a_search_ends_in_time(
+    stack: contextlib.ExitStack, hurries: bool
+) -> None:
+    """The first stops as soon as nobody waits for it; in lockstep nothing else stops one."""
+    planner = of(stack, odd.searches, odd.nothing, hurries=hurries)
+    planner.ask(request_of(1, planning_time_s=1000.0))
+    planner._sender.join()
+    planner.ask(request_of(2, planning_time_s=0.1))
+    assert planner.answer(PATIENCE_S) is None  # of the first
+    answer = planner.answer(PATIENCE_S if hurries else 0.2)
+    if hurries:
+        assert answer is not None
+        assert answer[0].plan_id == 2
+        assert 0.08 <= answer[1] < 1.0
+    else:
+        assert answer is None
+
+
+def test_a_process_that_does_not_come_up_or_that_cannot_be_started_is_an_error(
+    stack: contextlib.ExitStack,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    planner = stack.enter_context(contextlib.closing(PlannerProcess(odd.echoes, odd.comes_not_up)))
     with pytest.raises(PlannerEndedError, match="exit code 3"):
-        planner.start()
+        planner.answer(PATIENCE_S)
+    planner = stack.enter_context(contextlib.closing(PlannerProcess()))
+    monkeypatch.setattr(planner, "_start", Path("/nowhere").stat)
+    with pytest.raises(PlannerEndedError, match="No such file"):
+        planner.answer()
 
 
 PARENT = """
 import os, signal
 from companion.runtime.planner_process import PlannerProcess
 planner = PlannerProcess()
-planner.start()
+while not planner.is_ready:
+    planner.answer(1.0)
 os.kill(os.getpid(), signal.SIGKILL)
 """
 

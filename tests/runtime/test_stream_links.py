@@ -3,7 +3,6 @@
 import contextlib
 import os
 import pty
-import select
 import socket
 import termios
 import threading
@@ -11,7 +10,6 @@ import time
 import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -305,27 +303,6 @@ def test_a_setpoint_that_has_waited_too_long_is_not_sent(
         assert newest not in arriving(link, far, lambda data: HOLD in data)
 
 
-@pytest.mark.parametrize("looked", [False, True])
-@pytest.mark.parametrize("kind", ["udpin", "tcp", "tcp, calling"])
-def test_a_link_that_is_closed_under_its_reader_ends_its_wait_with_nothing(
-    server: Server, monkeypatch: pytest.MonkeyPatch, kind: str, looked: bool
-) -> None:
-    """Just before the reader looks whether something has come in, or just after."""
-    link = open_link(f"udpin:127.0.0.1:{free_port()}" if kind == "udpin" else server.name)
-    if kind == "tcp":
-        os.write(server.answers(link), b"late")
-
-    def close_and_select(*arguments: Any) -> Any:
-        ready = select.select(*arguments) if looked else None
-        link.close()
-        return ready or select.select(*arguments)
-
-    monkeypatch.setattr(links, "select", SimpleNamespace(select=close_and_select))
-    for _ in range(3):
-        assert link.receive(0.02) is None
-        link.send([FRAME])
-
-
 # --- serial
 
 
@@ -368,19 +345,9 @@ def test_a_device_that_vanishes_while_it_is_opened_again_is_opened_once_more(
         assert heard(link, 4) == b"back"
 
 
-@pytest.mark.usefixtures("at_once")
-def test_a_serial_link_that_is_closed_while_it_opens_its_device_again_leaves_it_to_others(
-    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """One program at a time has it; what is no serial port is refused with its remedy, too."""
-    link = open_link(terminal.name)
-    with pytest.raises(InputError, match="end the program that uses it"):
+def test_a_serial_port_is_for_one_program_at_a_time(terminal: Terminal) -> None:
+    with open_link(terminal.name), pytest.raises(InputError, match="end the program that uses it"):
         open_link(terminal.name)
-    terminal.goes()
-    assert link.receive(0.02) is None
-    terminal.comes_back()
-    in_the_middle("tcsetattr", link.close, monkeypatch)
-    assert link.receive(0.02) is None
     open_link(terminal.name).close()
 
 

@@ -1,13 +1,14 @@
 """What the gate lets through and tells apart; `test_workers` has the watchdog at work."""
 
 import threading
+from types import SimpleNamespace
 
 import pytest
 from pymavlink.dialects.v20 import all as wire
-from stub_session import HEARTBEAT, HOLD, PATIENCE_S, SETPOINT, QueueLink, packed
+from stub_session import HEARTBEAT, HOLD, PATIENCE_S, SETPOINT, QueueLink, as_any, packed
 
 from companion.runtime.link import is_setpoint
-from companion.runtime.watchdog import IDLE_STALL_S, STALL_S, Failure, Gate, Watchdog, Worker
+from companion.runtime.watchdog import IDLE_STALL_S, STALL_S, Failure, Gate, Watchdog
 
 LOCAL = wire.MAVLink_set_position_target_local_ned_message(
     0, 1, 1, 1, 2496, 1.0, 2.0, -3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -35,13 +36,12 @@ class Rig:
         self.link = QueueLink(self.clock)
         self.gate = Gate(self.link, self.clock)
         self.failures: list[tuple[Failure, list[bytes]]] = []
-        self.losses: list[Failure] = []
+        session = SimpleNamespace(hold_frames=lambda: [HOLD], final_text=lambda _why: [])
         self.watchdog = Watchdog(
             self.gate,
+            as_any(session),
             clock=self.clock,
-            hold_frames=lambda: [HOLD],
             on_failure=lambda failure, hold: self.failures.append((failure, hold)),
-            on_loss=self.losses.append,
         )
 
     def clock(self) -> float:
@@ -87,55 +87,51 @@ def test_a_link_that_is_stuck_in_the_middle_of_a_frame_does_not_keep_the_hold_ba
     thread.join()
 
 
-@pytest.mark.parametrize("ended", [False, True])
-def test_of_several_deaths_the_first_counts_and_the_hold_is_sent_for_it_once_in_full(
-    ended: bool,
-) -> None:
-    """A part that is not vital shuts nothing; after the end of a flight nothing is a death."""
-    rig = Rig()
-    rig.watchdog.start()
-    rig.watchdog.died(Worker("writer", vital=False), "disk")
-    assert rig.losses == [Failure(part="writer", error="disk")]
-    assert not rig.gate.is_shut
-    if ended:
-        rig.watchdog.end(10.0)
-    rig.watchdog.died(Worker("reader"), "first")
-    rig.watchdog.died(Worker("planner"), "second")
-    rig.watchdog.end(10.0)
-    first = Failure(part="reader", error="first")
-    assert rig.failures == ([] if ended else [(first, [HOLD])])
-    assert rig.watchdog.failure == (None if ended else first)
-    assert rig.frames() == ([] if ended else [HOLD] * 3)
-    assert rig.gate.is_shut is not ended
+@pytest.mark.parametrize("dies", [False, True])
+def test_the_hold_is_sent_once_in_full_for_a_death_and_not_for_an_end(dies: bool) -> None:
+    rig, ended = Rig(), threading.Event()
+    if dies:
+        rig.watchdog.died("OSError: made up")
+    ended.set()
+    for _ in range(2):
+        rig.watchdog.watch(ended)
+    died = Failure(part="decider", error="OSError: made up")
+    assert rig.failures == ([(died, [HOLD])] if dies else [])
+    assert rig.watchdog.failure == (died if dies else None)
+    assert rig.frames() == [HOLD] * 3 * dies
+    assert rig.gate.is_shut is dies
 
 
 def test_a_computer_that_was_asleep_for_a_minute_has_lost_nobody() -> None:
     """The watchdog slept as well: what it did not see is no sign of a death."""
-    rig, part, leaving = Rig(), Worker("decider"), threading.Event()
-    part.beat(0.2)
-    rig.watchdog.start()
-    rig.watchdog.watch(part, lambda: leaving.wait() and None)
+    rig, ended = Rig(), threading.Event()
+    thread = threading.Thread(target=rig.watchdog.watch, args=(ended,))
+    rig.gate.send([SETPOINT])
+    rig.watchdog.beat()
+    thread.start()
     for _ in range(3):
         rig.wait_for_looks(1)  # its beat is seen, and it stands still from now on
         rig.goes_on(60.0)
         rig.wait_for_looks(1)
-        part.beat(0.2)
+        rig.gate.send([SETPOINT])
+        rig.watchdog.beat()
     assert rig.watchdog.failure is None
-    rig.watchdog.end(10.0)
-    leaving.set()
+    ended.set()
+    thread.join(PATIENCE_S)
 
 
 def test_a_setpoint_is_not_sent_long_after_its_position_or_through_a_gate_that_is_shut() -> None:
-    rig = Rig()
-    since_s, others = rig.now_s, [HEARTBEAT, HOLD]
+    """Of several that are due together only the newest is sent; the vehicle may wait for all."""
+    rig, now = Rig(), [SETPOINT, HEARTBEAT, SETPOINT, HOLD]
+    since_s = rig.now_s
     rig.goes_on(0.4)
-    assert rig.gate.send([SETPOINT, HEARTBEAT], since_s=since_s) == [SETPOINT, HEARTBEAT]
+    assert rig.gate.send(now, since_s=since_s) == [0]
     rig.goes_on(0.2)
-    assert rig.gate.send([SETPOINT, *others], since_s=since_s) == others
-    assert rig.gate.send([SETPOINT]) == [SETPOINT]  # in lockstep, where the vehicle waits
+    assert rig.gate.send(now, since_s=since_s) == [0, 2]
+    assert rig.gate.send([SETPOINT]) == []  # in lockstep, where the vehicle waits
     assert rig.gate.stall_limit_s() == STALL_S
-    rig.goes_on(1.0)  # nothing is streamed any more: a part may stand still for longer
+    rig.goes_on(1.0)  # nothing is streamed any more: the loop may stand still for longer
     assert rig.gate.stall_limit_s() == IDLE_STALL_S
     rig.gate.shut()
-    assert not rig.gate.send([SETPOINT, HEARTBEAT])
-    assert rig.frames() == [SETPOINT, HEARTBEAT, *others, SETPOINT]
+    assert rig.gate.send(now) == [0, 1, 2, 3]
+    assert rig.frames() == [HEARTBEAT, SETPOINT, HOLD, HEARTBEAT, HOLD, SETPOINT]

@@ -14,6 +14,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import odd_planners
 import pytest
 from stub_session import (
     HEARTBEAT,
@@ -28,10 +29,9 @@ from stub_session import (
 
 from companion.mavlink.link import Output
 from companion.mission.events import End, Outcome
-from companion.planner.request import PlanRequest
 from companion.runtime import loop, planner_process, recorder, watchdog
 from companion.runtime.compiler import load_libraries
-from companion.runtime.planner_process import PlannerProcess
+from companion.runtime.planner_process import PlannerHere, PlannerProcess
 from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.run_folder import RunFolder
 
@@ -48,26 +48,32 @@ class Rig:
 
     def __init__(self, folder: RunFolder) -> None:
         self.session, self.folder = StubSession(), folder
+        self.request = request_of(1)
         self.link = QueueLink(time.monotonic)
         self.flown: FlightSummary | None = None
         self.broken_s = math.inf
+        self.raised: BaseException | None = None
         self.options: dict[str, Any] = {
+            "on_progress": lambda _: None,
             "lockstep": False,
-            "planner": lambda _request, _stop: "planned",
+            "planner": PlannerHere(odd_planners.echoes),
         }
         self.once_flying: Callable[[], None] = lambda: None
         """What happens once setpoints are streamed."""
         self.released = threading.Event()
         """What has stood still goes on."""
         self._over = threading.Event()
-        self._threads = [threading.Thread(target=each) for each in (self._fly, self._speak)]
+        self.flies, speaks = (threading.Thread(target=each) for each in (self._fly, self._speak))
+        self._threads = [self.flies, speaks]
 
     def _fly(self) -> None:
         stop = self._over.is_set
-        self.flown = loop.fly(
-            as_any(self.session), self.link, self.folder,
-            on_progress=lambda _: None, stop_asked=stop, **self.options,
-        )  # fmt: skip
+        try:
+            self.flown = loop.fly(
+                as_any(self.session), self.link, self.folder, stop_asked=stop, **self.options
+            )
+        except BaseException as error:  # noqa: BLE001 - looked at by the test
+            self.raised = error
 
     def _speak(self) -> None:
         while not self._over.wait(PERIOD_S):
@@ -79,6 +85,11 @@ class Rig:
     def at(self, number: int, does: Callable[[], None]) -> None:
         """What the session does with that datagram."""
         self.session.on_datagram = lambda _session, k: does() if k == number else None
+
+    def asks(self, fails_s: float) -> None:
+        """For a plan, of a planner that fails after so long."""
+        self.broken_s = time.monotonic() + fails_s
+        self.session.ask(self.request)
 
     @contextmanager
     def flying(self) -> Iterator[None]:
@@ -137,39 +148,6 @@ def broken(rig: Rig, error: Exception) -> Callable[..., Any]:
     return breaks
 
 
-def planner_raises(rig: Rig) -> tuple[str, str]:
-    rig.options["planner"] = broken(rig, ZeroDivisionError("made up"))
-    rig.at(10, lambda: rig.session.ask(request_of(1)))
-    return "planner", "ZeroDivisionError: made up"
-
-
-def planner_stands_still(rig: Rig) -> tuple[str, str]:
-    """An endless loop that computes: it must not take the others' share of the interpreter."""
-
-    def endless(request: PlanRequest, _stop: object) -> Any:
-        rig.broken_s = time.monotonic() + request.task.settings.planning_time_s + SLACK_S
-        while not rig.released.is_set():
-            pass
-
-    rig.options["planner"] = endless
-    rig.at(10, lambda: rig.session.ask(request_of(1)))
-    return "planner", "stood still"
-
-
-def planner_is_killed(rig: Rig) -> tuple[str, str]:
-    """Its process, while nobody asks it anything."""
-    planner = rig.options["planner"] = PlannerProcess()
-
-    def kill() -> None:
-        rig.link.wait_until(lambda: planner.is_ready)
-        rig.breaks_now()
-        assert planner.pid is not None
-        os.kill(planner.pid, signal.SIGKILL)
-
-    rig.once_flying = kill
-    return "planner", "its process has ended (SIGKILL)"
-
-
 def session_raises(rig: Rig) -> tuple[str, str]:
     rig.at(BREAKS_AT, broken(rig, OSError("made up")))
     return "decider", "OSError: made up"
@@ -202,10 +180,51 @@ def session_stands_still(rig: Rig) -> tuple[str, str]:
 
 
 DEATHS = [
-    *(planner_raises, planner_stands_still, planner_is_killed),
     *(session_raises, session_raises_in_lockstep, session_raises_and_cannot_even_say_hold),
     session_stands_still,
 ]
+
+
+def planner_raises(rig: Rig) -> str:
+    rig.options["planner"] = PlannerProcess(odd_planners.raises, odd_planners.nothing)
+    rig.at(10, lambda: rig.asks(0.0))
+    return "ZeroDivisionError: made up"
+
+
+def planner_stands_still(rig: Rig) -> str:
+    rig.options["planner"] = PlannerProcess(odd_planners.never_ends, odd_planners.nothing)
+    rig.at(10, lambda: rig.asks(0.5 + SLACK_S))
+    return "it has stood still"
+
+
+def planner_is_killed(rig: Rig) -> str:
+    """Its process, while nobody asks it anything."""
+    planner = rig.options["planner"] = PlannerProcess(odd_planners.echoes, odd_planners.nothing)
+
+    def kill() -> None:
+        rig.breaks_now()
+        assert planner.process is not None
+        assert planner.process.pid is not None
+        os.kill(planner.process.pid, signal.SIGKILL)
+
+    rig.once_flying = kill
+    return "its process has ended (SIGKILL)"
+
+
+@pytest.mark.parametrize("death", [planner_raises, planner_stands_still, planner_is_killed])
+def test_once_its_planner_has_failed_nothing_more_is_streamed_and_the_vehicle_is_told_to_hold(
+    rig: Rig, death: Callable[[Rig], str]
+) -> None:
+    """The session itself says so, and ends."""
+    error = death(rig)
+    with rig.flying():
+        rig.once_flying()
+        assert rig.end.outcome is Outcome.FAILED
+    assert rig.session.died == [("planner", error)]
+    [hold_s] = rig.link.times_of(HOLD)
+    assert hold_s - rig.broken_s < BAR_S
+    assert rig.link.times_of(SETPOINT)[-1] <= hold_s
+    assert rig.longest_gap_s < BAR_S
 
 
 def assert_held(rig: Rig, part: str, error: str) -> None:
@@ -236,24 +255,48 @@ def test_whatever_dies_nothing_more_is_streamed_and_the_vehicle_is_told_to_hold(
         sent = len(rig.link.sent)
         rig.released.set()  # what it says now leaves no more
     assert len(rig.link.sent) == sent
-    if death is planner_stands_still:
-        assert rig.longest_gap_s < BAR_S
-        assert rig.link.times_of(SETPOINT)[-1] > rig.broken_s - 0.2  # until then it streamed
-    told = [name for name, _ in rig.session.died]
-    assert part != "planner" or told == [part]
-    assert error.startswith("stood") or part != "decider" or told == []  # it cannot be told
+    assert error.startswith("stood") or rig.session.died == []  # it cannot be told
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_watchdog_that_has_died_itself(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(_watchdog: object, _elapsed_s: float) -> None:
-        if rig.broken_s < time.monotonic():
+def test_a_watchdog_that_has_failed_itself_ends_the_flight_as_if_it_were_stopped(rig: Rig) -> None:
+    def clock() -> float:
+        now_s = time.monotonic()
+        if threading.current_thread() is rig.flies and rig.broken_s < now_s:
             raise MemoryError("made up")
+        return now_s
 
-    monkeypatch.setattr(watchdog.Watchdog, "_look", broken)
+    planner = rig.options["planner"] = PlannerProcess(odd_planners.echoes, odd_planners.nothing)
+    rig.options["clock"] = clock
     with rig.flying():
         rig.breaks_now()
-        assert_held(rig, "watchdog", "its thread has ended")
+        rig.flies.join(PATIENCE_S)
+    assert isinstance(rig.raised, MemoryError)
+    assert rig.session.has_left
+    assert rig.session.died == []
+    assert planner.process is not None
+    assert not planner.process.is_alive()
+
+
+def test_what_fails_to_be_shown_ends_the_flight_and_is_raised(rig: Rig) -> None:
+    def show(_flown: object) -> None:
+        if rig.broken_s < time.monotonic():
+            raise BrokenPipeError
+
+    rig.options["on_progress"] = show
+    with rig.flying():
+        rig.breaks_now()
+        rig.flies.join(PATIENCE_S)
+    assert isinstance(rig.raised, BrokenPipeError)
+    assert rig.session.has_left
+
+
+def test_a_terminal_that_blocks_does_not_delay_the_stream(rig: Rig) -> None:
+    rig.options["on_progress"] = lambda _: rig.released.wait() and None
+    with rig.flying():
+        rig.streams_on()
+    assert rig.longest_gap_s < BAR_S
+    assert rig.end.outcome is Outcome.STOPPED
 
 
 def test_a_hold_that_does_not_get_out_is_tried_again(rig: Rig) -> None:
@@ -304,22 +347,6 @@ def test_a_setpoint_that_took_too_long_is_not_sent(rig: Rig) -> None:
     assert any(took_s[0] < at_s <= sent_s for at_s in rig.session.arrived_s)  # it answers that one
 
 
-def test_of_two_plans_that_are_asked_for_only_the_newer_counts(rig: Rig) -> None:
-    def named(request: PlanRequest, stop: Callable[[], bool]) -> Any:
-        if request.plan_id == 1:
-            rig.link.wait_until(stop)  # it is told to stop as soon as nobody waits for it
-        return request.plan_id
-
-    def asks(session: StubSession, number: int) -> None:
-        if number in (10, 12):
-            session.ask(request_of(1 if number == 10 else 2, planning_time_s=1000.0))
-
-    rig.options["planner"], rig.session.on_datagram = named, asks
-    with rig.flying():
-        rig.link.wait_until(lambda: bool(rig.session.delivered))
-    assert rig.session.delivered == [2]
-
-
 # --- the disk: a flight goes on without it
 
 
@@ -355,10 +382,10 @@ def test_a_disk_that_is_full_or_an_entry_that_cannot_be_written_ends_the_recordi
 ) -> None:
     rig.at(10, lambda: breaks(rig))
     with rig.flying():
-        rig.link.wait_until(lambda: bool(rig.session.stopped))
+        rig.link.wait_until(lambda: bool(rig.session.complaints))
         rig.streams_on()
-    [said] = rig.session.stopped
-    assert said.startswith(told)
+    [said] = rig.session.complaints
+    assert said.startswith(f"not recorded any more: {told}")
     assert rig.link.times_of(HOLD) == []
     assert rig.end.outcome is Outcome.STOPPED
 
@@ -379,14 +406,14 @@ def test_a_disk_that_blocks_does_not_delay_the_stream_and_is_told_of_once(
         rig.folder.close()
         monkeypatch.setitem(rig.folder._files, "flight.tlog", blocked)
         with rig.flying():
-            rig.link.wait_until(lambda: bool(rig.session.stopped))
+            rig.link.wait_until(lambda: bool(rig.session.complaints))
             rig.streams_on()
         assert rig.folder.failure == "the disk does not answer"
         os.close(reading)  # the writer's call returns
         for writer in [each for each in threading.enumerate() if each.name == "writer"]:
             writer.join(PATIENCE_S)
             assert not writer.is_alive()
-    [said] = rig.session.stopped
+    [said] = rig.session.complaints
     assert "stood still" in said
     assert rig.link.times_of(HOLD) == []
     assert rig.longest_gap_s < BAR_S
@@ -408,7 +435,7 @@ def test_a_folder_that_is_moved_away_is_told_of_once_and_what_grows_is_recorded_
         rig.streams_on()
     lost = "state for --resume is lost: No such file or directory"
     assert rig.session.complaints == [lost]
-    assert rig.session.stopped == rig.link.times_of(HOLD) == []
+    assert rig.link.times_of(HOLD) == []
     assert (tmp_path / "moved" / "journal.jsonl").stat().st_size > size
 
 
@@ -421,12 +448,10 @@ def test_what_waits_for_a_slow_disk_has_an_end(
     monkeypatch.setattr(folder, "frames", lambda _stamped: released.wait())
     writes = recorder.Recorder(folder, time.monotonic, lambda _failure: None)
     writer = recorder.WriterThread(writes)
-    thread = threading.Thread(target=writer.run)
-    thread.start()
     for _ in range(1000):
         writer.put(Output(record=[(0.0, bytes(1000))]))
     assert folder.failure == "the disk is too slow"
     assert writer._put_bytes <= 101_000
     released.set()
     writer.close()
-    thread.join(PATIENCE_S)
+    assert not writer._thread.is_alive()
