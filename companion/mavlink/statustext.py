@@ -57,7 +57,7 @@ class StatusTexts:
     @property
     def due_s(self) -> float:
         """When `due` has something to say, at the latest."""
-        return self._free_at_s if self._waiting else math.inf
+        return self._sent_s + self._lasts_s if self._waiting else math.inf
 
     def due(self, now_s: float) -> list[Message]:
         """The messages to send now: the first queued text, if it is time for one."""
