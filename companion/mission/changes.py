@@ -11,7 +11,7 @@ from companion.mission.battery import battery_is_short
 from companion.mission.decisions import Turn, hold_for
 from companion.mission.events import Event, Landed, Order, OrderKind
 from companion.mission.following import come_to_rest
-from companion.mission.phases import ON_PATH, ON_SETPOINTS, OVER, Hold, Phase, Reason, Trigger
+from companion.mission.phases import ON_PATH, ORDERED, OVER, TAKEN, By, Phase, Reason, Trigger
 from companion.mission.state import Flight, Orders, State, Targets, Vehicle, Way
 from companion.mission.stopped import resumed, taken
 from companion.mission.tables import is_breach_of_fence
@@ -51,10 +51,10 @@ def order_result(state: State, order: Order, *, go: bool = False) -> OrderResult
         case OrderKind.PAUSE:
             return OrderResult.ACCEPTED if _may_pause(state) else OrderResult.NOT_NOW
         case OrderKind.RETURN:
-            held = state.hold is not None and not (_accepts_orders(state) or _stops(state))
+            held = state.held_for is not None and not (_accepts_orders(state) or _stops(state))
             return OrderResult.ACCEPTED if in_air and not held else OrderResult.NOT_NOW
         case OrderKind.LAND:
-            held = state.hold in (Hold.TAKEN_OVER, Hold.GROUNDED, Hold.SILENT)
+            held = state.held_by is By.NOBODY
             if state.phase is not Phase.LANDING and (held or not in_air):
                 return OrderResult.NOT_NOW
             down = state.phase in _GOING_UP and state.vehicle.landed is Landed.ON_GROUND
@@ -103,12 +103,12 @@ def _may_pause(state: State) -> bool:
 
 def _accepts_orders(state: State) -> bool:
     """Whether an order takes effect immediately in this hold."""
-    return state.hold in ON_SETPOINTS and state.reason is not Reason.BATTERY_LOW
+    return state.held_by is By.SETPOINTS and state.reason is not Reason.BATTERY_LOW
 
 
 def _stops(state: State) -> bool:
     """Whether it is stopped by its autopilot: an order takes effect once it is led again."""
-    return state.hold in (Hold.MODE, Hold.TAKE_OVER)
+    return state.held_by is By.MODE and state.held_for is not Reason.STREAM_LOST
 
 
 # --- threats
@@ -223,7 +223,7 @@ def _fly_to(state: State, targets_ne_m: Targets, why: str, orders: Orders, turn:
         turn.fault(Reason.TAKING_OVER)  # it may hold by now
     elif state.phase is Phase.ARRIVED:
         turn.to(Trigger.NEXT_TARGET)
-    elif state.hold in (Hold.PAUSED, Hold.RETURN, Hold.LAND):
+    elif state.held_for in ORDERED:
         hold_for(state, Reason.NEW_TARGET)
 
 
@@ -262,10 +262,10 @@ def _go_on(state: State, turn: Turn) -> None:
         state.orders = Orders(state.orders.suspended)
     if state.phase in ON_PATH and _brakes_for(state, wanted, Reason.PAUSED):
         turn.say("going on")
-    elif state.hold is Hold.PAUSED:
+    elif state.held_for is Reason.PAUSED:
         turn.say("going on")
         resumed(state, turn)
-    elif isinstance(state.stage, phases.Holding) and state.stage.how is Hold.TAKEN_OVER:
+    elif isinstance(state.stage, phases.Holding) and state.stage.why in TAKEN:
         state.stage.released_at_s = state.now_s
 
 
@@ -293,7 +293,7 @@ def _back_again(state: State, turn: Turn) -> None:
         return
     state.orders = Orders()
     if not _brakes_for(state, Reason.CONTINUED, Reason.PAUSED, Reason.LAND_ASKED):
-        if state.hold not in (Hold.PAUSED, Hold.LAND):
+        if state.held_for not in (Reason.PAUSED, Reason.LAND_ASKED):
             return
         hold_for(state, Reason.CONTINUED)
     turn.say("going on")
@@ -319,7 +319,7 @@ def _stop_for(state: State, order: Reason, turn: Turn) -> None:
         turn.fault(Reason.TAKING_OVER)
     elif state.phase in (*ON_PATH, Phase.ARRIVED):
         following.stop(state, order, turn)
-    elif state.hold in ON_SETPOINTS and state.reason is not order:
+    elif state.held_by is By.SETPOINTS and state.reason is not order:
         hold_for(state, order)
 
 

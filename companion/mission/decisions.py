@@ -12,7 +12,7 @@ from companion.mission import phases
 from companion.mission.events import Command, Position, StatusText
 from companion.mission.health import astray_m, may_differ_m
 from companion.mission.mission import Mission
-from companion.mission.phases import Reason, Trigger
+from companion.mission.phases import TAKEN, Reason, Trigger
 from companion.mission.state import Orders, State
 from companion.path.certificate import bounds_text
 from companion.planner.request import Refusal
@@ -174,9 +174,10 @@ def seen_cause(state: State) -> Reason | None:
 def hold_for(state: State, reason: Reason) -> None:
     """Held for this reason from now on; what is known of who has it is kept as long as he has."""
     held = state.stage
-    if not isinstance(held, phases.Holding) or held.how is not reason.hold:
-        why = seen_cause(state) if reason is Reason.FAILSAFE else None
-        held = phases.Holding(how=reason.hold, why=why)
+    if not (isinstance(held, phases.Holding) and held.why in TAKEN and reason in TAKEN):
+        seen = seen_cause(state) if reason is Reason.FAILSAFE else None
+        held = phases.Holding(why=reason, seen=seen)
+    held.why = reason
     held.since_s, held.asked_at_s, held.asks = state.now_s, -1e9, 0
     held.obeyed, held.backtrack = False, None
     state.stage = held

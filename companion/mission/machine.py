@@ -15,7 +15,19 @@ from companion.mission.battery import take_battery
 from companion.mission.decisions import Context, Turn, hold_for, longest_silence_s, reason_text
 from companion.mission.events import Command, End, Event, Landed, Mode, Outcome, SetMode
 from companion.mission.health import distrust, take_distrust, take_position
-from companion.mission.phases import IN_AIR, ON_GROUND, OVER, Hold, Phase, Reason, Stage, Trigger
+from companion.mission.phases import (
+    IN_AIR,
+    ON_GROUND,
+    ORDERED,
+    OVER,
+    TAKEN,
+    TAKES_OVER,
+    By,
+    Phase,
+    Reason,
+    Stage,
+    Trigger,
+)
 from companion.mission.state import HEARTBEAT_S, Orders, State
 from companion.mission.tables import fall_back, fault_of, parting
 from companion.mission.vehicle_traits import UNKNOWN
@@ -259,16 +271,13 @@ def _hold(state: State, turn: Turn) -> None:
     """Hold for the reason that there is."""
     reason = state.reason or Reason.NO_PLAN
     turn.hold(reason)
-    match reason.hold:
-        case Hold.PAUSED | Hold.RETURN | Hold.LAND:
-            state.orders = Orders(reason, state.orders.suspended)
-        case Hold.TAKEN_OVER:
-            state.taken = True
-        case Hold.MODE | Hold.STREAM_LOST | Hold.GROUNDED | Hold.SILENT:
-            state.flight.troubles += 1
-        case _:
-            pass
-    if reason.hold is Hold.MODE:
+    if reason in ORDERED:
+        state.orders = Orders(reason, state.orders.suspended)
+    elif reason in TAKEN:
+        state.taken = True
+    elif reason.by is not By.SETPOINTS and reason not in TAKES_OVER:
+        state.flight.troubles += 1
+    if reason.asks_to_hold:
         state.stage.asked_at_s = state.now_s
         broken_off = reason is Reason.BROKEN_OFF
         turn.do(*(parting(state) if broken_off else [SetMode(mode=Mode.HOLD)]))

@@ -13,7 +13,7 @@ from msgspec import Struct, field
 from companion.mission.events import Echo, FenceChanged, Item, Landed, Mode, Setpoint, Vector
 from companion.mission.mission import Mission
 from companion.mission.phases import IN_AIR as IN_AIR  # for those who read the state
-from companion.mission.phases import Hold, Holding, Led, OnPath, Preparing, Stage
+from companion.mission.phases import By, Holding, Led, OnPath, Preparing, Stage
 from companion.mission.phases import Phase as Phase
 from companion.mission.phases import Reason as Reason
 from companion.mission.vehicle_traits import UNKNOWN, VehicleTraits
@@ -230,9 +230,14 @@ class State(Struct, kw_only=True):
         return self.stage.phase
 
     @property
-    def hold(self) -> Hold | None:
-        """How it is held, in the phase `holding`."""
-        return self.stage.how if isinstance(self.stage, Holding) else None
+    def held_for(self) -> Reason | None:
+        """Why it is held; None: it is not."""
+        return self.stage.why if isinstance(self.stage, Holding) else None
+
+    @property
+    def held_by(self) -> By | None:
+        """Who holds it; None: it is not held."""
+        return self.stage.why.by if isinstance(self.stage, Holding) else None
 
     @property
     def path(self) -> OnPath | None:
