@@ -104,9 +104,7 @@ def _lead(state: State, stage: phases.Led, path: OnPath, event: Position, turn: 
         way_back.take_next(state, path)
     if state.now_s - stage.progress_at_s > _STUCK_S:
         return turn.give_up(Reason.NOT_FOLLOWING)
-    unechoed_s = state.now_s - stage.echoed_at_s
-    is_on_path = following.is_on_path(state, path, event, unechoed_s)
-    departs = None if is_on_path else _leaves_path(state, path, event, unechoed_s, turn)
+    departs = following.departs(state, stage, path, event, turn)
     if departs is not None:
         return _depart(state, departs, turn)
     following.send_setpoint(state, path, event, turn)
@@ -120,20 +118,6 @@ def _lead(state: State, stage: phases.Led, path: OnPath, event: Position, turn: 
     if stage.search is None and path.leg.wants_successor(path.reference, speed):
         at_m = path.reference.length_m
         start_scan(stage, path.leg.subpath.pose(at_m).point_nea_m, turn)
-
-
-def _leaves_path(
-    state: State, path: OnPath, event: Position, unechoed_s: float, turn: Turn
-) -> Reason | None:
-    """Look whether the vehicle is on its path and follows; a reason: the leg cannot go on."""
-    if following.is_not_taken(state, unechoed_s):
-        return Reason.NOT_TAKEN
-    was_outside = path.outside_m
-    departs = following.left_path(state, path, event, turn)
-    if departs is None and path.outside_m and not was_outside:
-        text = f"beside its path, {path.outside_m:.2g} m more than its tracking error"
-        turn.say(text, "path", warning=path.stop is not None)
-    return departs
 
 
 def _circle(state: State, stage: phases.Led, event: Position, turn: Turn) -> None:
