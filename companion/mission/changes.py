@@ -249,10 +249,10 @@ def _on_order(state: State, order: Order, turn: Turn) -> None:
             if state.flight.way is not Way.OUT:
                 _back_again(state, turn)
             else:
-                _stop_for(state, Reason.RETURN_ASKED, turn)
+                _stop_for(state, Orders(Reason.RETURN_ASKED), turn)
         case OrderKind.LAND:  # once it has stopped
             if state.phase is not Phase.LANDING and state.orders.active is not Reason.LAND_ASKED:
-                _stop_for(state, Reason.LAND_ASKED, turn)
+                _stop_for(state, Orders(Reason.LAND_ASKED), turn)
 
 
 def _go_on(state: State, turn: Turn) -> None:
@@ -273,15 +273,9 @@ def _pause(state: State, turn: Turn) -> None:
     """Hold until an order to continue; a return that has not begun is suspended."""
     if not _may_pause(state):
         return
-    state.orders = state.orders.paused()
-    if state.phase in _GOING_UP:
-        turn.fault(Reason.BROKEN_OFF)
-    elif state.phase in ON_PATH:
-        following.stop(state, Reason.PAUSED, turn)
-    else:
+    if state.held_for is not None:
         turn.say(Reason.PAUSED.text)
-        if not _stops(state):
-            hold_for(state, Reason.PAUSED)
+    _stop_for(state, state.orders.paused(), turn)
 
 
 def _back_again(state: State, turn: Turn) -> None:
@@ -308,14 +302,13 @@ def _brakes_for(state: State, reason: Reason, *before: Reason) -> bool:
     return True
 
 
-def _stop_for(state: State, order: Reason, turn: Turn) -> None:
-    """Stop as the phase allows; then the order is carried out."""
-    state.orders = Orders(order)
+def _stop_for(state: State, orders: Orders, turn: Turn) -> None:
+    """Stop as the phase allows; then the active order is carried out."""
+    state.orders, order = orders, orders.active
+    assert order is not None
     if state.phase in _GOING_UP:
         turn.fault(Reason.BROKEN_OFF)
-    elif (
-        state.phase is Phase.ARRIVED and state.stage.asks
-    ):  # for the end action's mode: it may have it
+    elif state.phase is Phase.ARRIVED and state.stage.asks:  # the end action's mode: it may have it
         turn.fault(Reason.TAKING_OVER)
     elif state.phase in (*ON_PATH, Phase.ARRIVED):
         following.stop(state, order, turn)

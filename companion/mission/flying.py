@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from companion.mission import events, following, phases, way_back
-from companion.mission.battery import battery_runs_low, give_up_for_battery, warn_of_battery
+from companion.mission.battery import gives_up_for_battery, warn_of_battery
 from companion.mission.decisions import AT_M, Context, Turn, in_words, waits_for_fence
 from companion.mission.events import Event, Landed, Mode, Position, Vector
 from companion.mission.following import come_to_rest, rest_at_end, send_hold
@@ -46,8 +46,7 @@ def on_path(state: State, stage: phases.Led, event: Event, turn: Turn) -> None:
         return
     # perhaps: it has to last a while
     is_short = stage.phase is Phase.FLYING and state.vehicle.battery_short_at_s is not None
-    if is_short and battery_runs_low(state):
-        give_up_for_battery(state)
+    if is_short and gives_up_for_battery(state):
         following.stop(state, Reason.BATTERY_LOW, turn)
     stops = stage.path is not None and stage.path.stop is not None
     unread = state.fence_unread_s is not None and not stops

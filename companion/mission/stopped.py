@@ -18,7 +18,7 @@ a dead part of the companion has ended the mission.
 import math
 
 from companion.mission import phases, way_back
-from companion.mission.battery import battery_runs_low, give_up_for_battery, warn_of_battery
+from companion.mission.battery import gives_up_for_battery, warn_of_battery
 from companion.mission.decisions import (
     ASK_AGAIN_S,
     AT_M,
@@ -209,8 +209,7 @@ def _hold_on_setpoints(state: State, held: phases.Holding, event: Event, turn: T
         return way_back.on_plan(state, event, turn)
     if not isinstance(event, Position):
         return
-    if battery_runs_low(state):  # a pause, too, ends before the battery does
-        give_up_for_battery(state)
+    if gives_up_for_battery(state):  # a pause, too, ends before the battery does
         hold_for(state, Reason.BATTERY_LOW)
         turn.warn(f"hold: {Reason.BATTERY_LOW.text}")
         return
