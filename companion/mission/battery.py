@@ -3,14 +3,12 @@
 import itertools
 import math
 
-from msgspec.structs import replace
-
 from companion.mission import following
 from companion.mission.decisions import Turn
 from companion.mission.events import Battery, Landed
 from companion.mission.mission import Mission
 from companion.mission.phases import Reason
-from companion.mission.state import State, Way
+from companion.mission.state import Goal, State, Way
 from companion.mission.way_back import beyond_path_m
 
 _DRAIN_S = 60.0  # before that, what the battery has lost says nothing of what it will
@@ -71,11 +69,12 @@ def gives_up_for_battery(state: State) -> bool:
     Not a mission that was already given up, nor the return in progress, which is gone on with.
     """
     flight = state.flight
-    ordered = state.orders.active in (Reason.RETURN_ASKED, Reason.LAND_ASKED)
+    ordered = state.order in (Reason.RETURN_ASKED, Reason.LAND_ASKED)
     is_over = flight.fallen_back is not None or flight.homeward or ordered
     if not battery_is_short(state) or (is_over and state.reason is not Reason.PAUSED):
         return False
-    state.orders = replace(state.orders, active=Reason.BATTERY_LOW)
+    state.goal = Goal.DOWN if state.goal is Goal.TARGETS else state.goal
+    state.paused = False
     flight.battery_told = _TOLD_SHORT
     if flight.way is Way.OUT:
         flight.fallen_back = Reason.BATTERY_LOW

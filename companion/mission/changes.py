@@ -12,7 +12,7 @@ from companion.mission.decisions import Turn, hold_for
 from companion.mission.events import Event, Landed, Order, OrderKind
 from companion.mission.following import come_to_rest
 from companion.mission.phases import ON_PATH, ORDERED, OVER, TAKEN, By, Phase, Reason, Trigger
-from companion.mission.state import Flight, Orders, State, Targets, Vehicle, Way
+from companion.mission.state import Flight, Goal, State, Targets, Vehicle, Way
 from companion.mission.stopped import resumed, taken
 from companion.mission.tables import is_breach_of_fence
 from companion.mission.way_back import set_targets
@@ -89,7 +89,7 @@ def _waits_for_go(state: State) -> bool:
 
 
 def _is_short(state: State) -> bool:
-    return state.orders.active is Reason.BATTERY_LOW or battery_is_short(state)
+    return state.goal is Goal.DOWN or battery_is_short(state)
 
 
 def _may_pause(state: State) -> bool:
@@ -202,17 +202,16 @@ def _on_targets(state: State, event: events.TargetsChanged, turn: Turn) -> None:
     elif not targets_ne_m and state.phase not in (Phase.WAITING, Phase.PREPARING, Phase.READY):
         turn.warn("the vehicle's mission is empty: the old one is flown")
     else:
-        _fly_to(state, targets_ne_m, "mission changed", state.orders, turn)
+        _fly_to(state, targets_ne_m, "mission changed", turn)
 
 
-def _fly_to(state: State, targets_ne_m: Targets, why: str, orders: Orders, turn: Turn) -> None:
+def _fly_to(state: State, targets_ne_m: Targets, why: str, turn: Turn) -> None:
     """New targets: stop, and plan to the first of them."""
     flight = state.flight
     for target in targets_ne_m:
         if trouble := target_refusal(state.task, target):
             return turn.warn(f"{why}: {trouble}")
     set_targets(state, targets_ne_m, Way.OUT)
-    state.orders = orders
     state.vehicle.battery_short_at_s = flight.fallen_back = flight.refusal = None
     if isinstance(state.stage, phases.Flying) and isinstance(state.stage.search, phases.Planning):
         state.stage.search = phases.Answered()
@@ -239,9 +238,10 @@ def _on_order(state: State, order: Order, turn: Turn) -> None:
         case OrderKind.REPOSITION:
             assert order.target_ne_m is not None
             outward = state.phase is Phase.FLYING and state.flight.target == 0
-            flies = outward and state.orders.active is None and not state.flight.homeward
+            flies = outward and state.order is None and not state.flight.homeward
             if not flies or (order.target_ne_m,) != state.targets_ne_m:  # else it goes there
-                _fly_to(state, (order.target_ne_m,), "new target", Orders(), turn)
+                state.goal, state.paused = Goal.TARGETS, False
+                _fly_to(state, (order.target_ne_m,), "new target", turn)
         case OrderKind.RETURN:
             goes_on = turn.context.mission.goes_on_while_reading
             if state.fence_unread_s is not None and not goes_on:
@@ -249,17 +249,16 @@ def _on_order(state: State, order: Order, turn: Turn) -> None:
             if state.flight.way is not Way.OUT:
                 _back_again(state, turn)
             else:
-                _stop_for(state, Orders(Reason.RETURN_ASKED), turn)
+                _stop_for(state, Goal.HOME, turn)
         case OrderKind.LAND:  # once it has stopped
-            if state.phase is not Phase.LANDING and state.orders.active is not Reason.LAND_ASKED:
-                _stop_for(state, Orders(Reason.LAND_ASKED), turn)
+            if state.phase is not Phase.LANDING and state.order is not Reason.LAND_ASKED:
+                _stop_for(state, Goal.LAND, turn)
 
 
 def _go_on(state: State, turn: Turn) -> None:
-    """End a pause: the order suspended by it is active again."""
-    wanted = state.orders.suspended or Reason.CONTINUED
-    if state.orders.active is Reason.PAUSED:
-        state.orders = Orders(state.orders.suspended)
+    """End a pause: it goes on to its goal."""
+    state.paused = False
+    wanted = state.order or Reason.CONTINUED
     if state.phase in ON_PATH and _brakes_for(state, wanted, Reason.PAUSED):
         turn.say("going on")
     elif state.held_for is Reason.PAUSED:
@@ -275,17 +274,16 @@ def _pause(state: State, turn: Turn) -> None:
         return
     if state.held_for is not None:
         turn.say(Reason.PAUSED.text)
-    _stop_for(state, state.orders.paused(), turn)
+    _stop_for(state, state.goal, turn, pauses=True)
 
 
 def _back_again(state: State, turn: Turn) -> None:
     """Go on with the backtrack."""
-    orders = state.orders
-    if Reason.LAND_ASKED not in (orders.active, orders.suspended):
-        if orders.active is Reason.PAUSED:
+    if state.goal is not Goal.LAND:
+        if state.paused:
             _go_on(state, turn)
         return
-    state.orders = Orders()
+    state.goal, state.paused = Goal.HOME, False
     if not _brakes_for(state, Reason.CONTINUED, Reason.PAUSED, Reason.LAND_ASKED):
         if state.held_for not in (Reason.PAUSED, Reason.LAND_ASKED):
             return
@@ -302,9 +300,10 @@ def _brakes_for(state: State, reason: Reason, *before: Reason) -> bool:
     return True
 
 
-def _stop_for(state: State, orders: Orders, turn: Turn) -> None:
-    """Stop as the phase allows; then the active order is carried out."""
-    state.orders, order = orders, orders.active
+def _stop_for(state: State, goal: Goal, turn: Turn, *, pauses: bool = False) -> None:
+    """Stop as the phase allows; then it goes on to that goal, or waits in a pause."""
+    state.goal, state.paused = goal, pauses
+    order = Reason.PAUSED if pauses else goal.value
     assert order is not None
     if state.phase in _GOING_UP:
         turn.fault(Reason.BROKEN_OFF)
@@ -341,11 +340,8 @@ def _on_reboot(state: State, _event: events.Rebooted, turn: Turn) -> None:
         return
     flight = state.flight
     home, traits = state.vehicle.home_nea_m if state.airborne else None, state.vehicle.traits
-    if flight.returning:  # the way back is asked for again
-        paused = state.orders.active is Reason.PAUSED
-        state.orders = Orders(Reason.RETURN_ASKED)
-        if paused:
-            state.orders = state.orders.paused()
+    if flight.returning and state.goal is Goal.TARGETS:  # the way back is asked for again
+        state.goal = Goal.HOME
     was = state.stage
     again = phases.Preparing()
     if state.phase is Phase.READY or state.unready:

@@ -20,7 +20,7 @@ from companion.mission.events import FenceChanged
 from companion.mission.journal import filled, plain, zone_of
 from companion.mission.mission import Mission
 from companion.mission.phases import IN_AIR, OnPath, Phase, Reason
-from companion.mission.state import Flight, Orders, State, Targets, Way
+from companion.mission.state import Flight, Goal, State, Targets, Way
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Leg, Reference
 from companion.planner.request import FlownSegment, Refusal, control_points
@@ -75,9 +75,9 @@ class Saved(Struct, kw_only=True):
     targets_ne_m: Targets
     fence: FenceChanged | None
     standing: str | None
-    """The active order."""
+    """What was ordered last: a pause, or its goal (`Goal`)."""
     set_aside: str | None
-    """The order suspended by a pause."""
+    """Its goal, in a pause."""
     target: int
     plan_id: int
     legs_flown: int
@@ -97,7 +97,7 @@ class Saved(Struct, kw_only=True):
 
 def values_of(state: State) -> Values:
     """The state as plain values (JSON)."""
-    flight, path, orders = state.flight, state.path, state.orders
+    flight, path = state.flight, state.path
     saved = filled(
         Saved,
         state,
@@ -105,8 +105,8 @@ def values_of(state: State) -> Values:
         t_s=state.now_s,
         phase=state.phase.name,
         sank=state.phase is Phase.LANDING and state.stage.obeyed,
-        standing=_name(orders.active),
-        set_aside=_name(orders.suspended),
+        standing=Reason.PAUSED.name if state.paused else _name(state.goal.value),
+        set_aside=_name(state.goal.value) if state.paused else None,
         flown=[
             (each.control_nea_m, each.from_m, each.until_m, each.speed_m_s) for each in flight.flown
         ],
@@ -175,12 +175,13 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
     """
     json.dumps(values, allow_nan=False)  # ValueError: a number that is not finite
     saved = msgspec.convert(values, Saved, dec_hook=_decoded)
-    orders = Orders(_reason(saved.standing), _reason(saved.set_aside))
+    paused = saved.standing == Reason.PAUSED.name
     state = filled(
         State,
         saved,
         now_s=saved.t_s,
-        orders=orders,
+        goal=Goal(_reason(saved.set_aside if paused else saved.standing)),
+        paused=paused,
         task=mission.task,
         flight=Flight(known=known),
     )
@@ -221,7 +222,7 @@ def _reason(name: str | None) -> Reason | None:
 
 
 _persisted: Final = attrgetter(
-    *("phase", "orders", "flight.way"),
+    *("phase", "goal", "paused", "flight.way"),
     *(name for name in Saved.__struct_fields__ if name in State.__struct_fields__),
     *(f"flight.{name}" for name in Saved.__struct_fields__ if name in Flight.__struct_fields__),
 )

@@ -233,7 +233,7 @@ def _in_flight(state: State, stage: phases.Preparing, turn: Turn) -> None:
         _, at_m = following.nearest(path.leg, here)
         path.reference = Reference(length_m=max(at_m, path.joined_m))
     turn.to(Trigger.IN_FLIGHT)
-    if state.orders.active is not None or state.taken or state.flight.returning:
+    if state.order is not None or state.taken or state.flight.returning:
         led = mode in ours and not state.taken
         state.because(Reason.TAKING_OVER if led else takeover_reason(state))
         return way_back.leave_path(state)

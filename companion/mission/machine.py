@@ -18,7 +18,6 @@ from companion.mission.health import distrust, take_distrust, take_position
 from companion.mission.phases import (
     IN_AIR,
     ON_GROUND,
-    ORDERED,
     OVER,
     TAKEN,
     TAKES_OVER,
@@ -28,7 +27,7 @@ from companion.mission.phases import (
     Stage,
     Trigger,
 )
-from companion.mission.state import HEARTBEAT_S, Orders, State
+from companion.mission.state import HEARTBEAT_S, State
 from companion.mission.tables import fall_back, fault_of, parting
 from companion.mission.vehicle_traits import UNKNOWN
 
@@ -257,9 +256,7 @@ def _set_out(state: State, turn: Turn) -> None:
     state.reason, state.taken = None, False
     if isinstance(state.stage, phases.Led):
         state.stage.echoed_at_s = state.now_s
-    if state.phase is not Phase.FLYING:
-        state.orders = Orders()
-    elif not state.flight.homeward:  # to a target again
+    if state.phase is Phase.FLYING and not state.flight.homeward:  # to a target again
         state.flight.fallen_back = None
     if state.phase is Phase.RETURNING:
         turn.say("returning", "phase")
@@ -271,9 +268,7 @@ def _hold(state: State, turn: Turn) -> None:
     """Hold for the reason that there is."""
     reason = state.reason or Reason.NO_PLAN
     turn.hold(reason)
-    if reason in ORDERED:
-        state.orders = Orders(reason, state.orders.suspended)
-    elif reason in TAKEN:
+    if reason in TAKEN:
         state.taken = True
     elif reason.by is not By.SETPOINTS and reason not in TAKES_OVER:
         state.flight.troubles += 1

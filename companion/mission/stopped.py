@@ -108,7 +108,7 @@ def _over(state: State, how: Reason, turn: Turn) -> None:
 
 def _stay_down(state: State, turn: Turn) -> None:
     """End before the flight: out of the take-off mode, and disarmed if we have armed it."""
-    vehicle, order = state.vehicle, state.orders.active or Reason.STOPPED
+    vehicle, order = state.vehicle, state.order or Reason.STOPPED
     elsewhere = vehicle.mode not in (Mode.GUIDED, Mode.TAKE_OFF, Mode.HOLD)
     if vehicle.armed and elsewhere:
         return taken(state, turn)
@@ -188,7 +188,7 @@ def resumed(state: State, turn: Turn) -> None:
 
     If the backtrack is too far away or blocked, a path home is planned.
     """
-    flight, wanted = state.flight, state.orders.active
+    flight, wanted = state.flight, state.order
     if wanted not in (None, state.reason):
         come_to_rest(state, state.vehicle.position_nea_m)
         state.taken = False
@@ -285,7 +285,7 @@ def _other_way(state: State, turn: Turn) -> None:
 def _hold_in_its_own_mode(state: State, held: phases.Holding, event: Event, turn: Turn) -> None:
     """The autopilot holds, until the vehicle is at rest and its position was valid for a while."""
     vehicle, mode, hovers = state.vehicle, state.vehicle.mode, state.vehicle.traits.hovers
-    taking_over, ordered = held.why in TAKES_OVER, state.orders.active
+    taking_over, ordered = held.why in TAKES_OVER, state.order
     if state.in_phase_s > _HOLD_S or state.flight.troubles > _TROUBLES:
         return turn.to(Trigger.GIVE_UP)
     if mode is not Mode.TAKE_OFF and _is_elsewhere(state):

@@ -14,7 +14,7 @@ from companion.mission.decisions import Context, Turn, in_words
 from companion.mission.events import Disarm, Event, Landed, LinkLost, Mode, Position, SetMode
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.phases import IN_AIR, TAKES_OVER, By, Phase, Reason, Trigger
-from companion.mission.state import State
+from companion.mission.state import Goal, State, Way
 from companion.mission.vehicle_traits import UNKNOWN, TakeoffSequence
 from companion.mission.way_back import is_above_home
 from companion.world.zones import nearest
@@ -196,14 +196,10 @@ _ASKED_IN: Final = {Phase.LANDING: Mode.LAND, Phase.HANDING_OVER: Mode.RETURN}
 
 def wanted_fallback(state: State, context: Context) -> Fallback:
     """The mission's fallback, or what was ordered or is in progress."""
-    flight, orders = state.flight, state.orders
-    ordered = (state.reason, orders.active, orders.suspended)
-    asked = Reason.RETURN_ASKED in (*ordered, flight.fallen_back)
-    landing = flight.fallen_back is Reason.LAND_ASKED and not asked
-    if landing or Reason.LAND_ASKED in ordered:
+    if state.goal is Goal.LAND:
         return Fallback.LAND
     ends_there = state.phase is Phase.ARRIVED and context.mission.end_action is EndAction.RETURN
-    home = asked or ends_there or flight.returning or flight.homeward
+    home = state.goal is Goal.HOME or ends_there or state.flight.way is not Way.OUT
     return Fallback.RETURN if home else context.mission.fallback
 
 
