@@ -54,21 +54,8 @@ class Header(Struct, frozen=True, kw_only=True):
     """How often it had been started again; left out of the first header."""
 
 
-# Events and commands that are entries as they are, by their names here
-End = events.End
-Fence = events.FenceChanged
-LinkDelay = events.LinkDelay
-LinkLost = events.LinkLost
-PartDied = events.PlannerDied
-PlanLate = events.PlanLate
-Prepared = events.Prepared
-StopAsked = events.StopAsked
-Targets = events.TargetsChanged
-VehicleRebooted = events.Rebooted
-ModeAsked, ArmAsked, DisarmAsked = events.SetMode, events.Arm, events.Disarm
-TakeOffAsked, Said = events.TakeOff, events.StatusText
 UNTOLD: Final = ("misread", "remedy", "at_nea_m", "altitude_amsl_m", "about")
-"""Their fields that are not written."""
+"""Fields of events and commands that are entries as they are: these are not written."""
 
 
 # --- the mission
