@@ -11,7 +11,17 @@ from companion.mission.battery import battery_is_short
 from companion.mission.decisions import Turn, hold_for
 from companion.mission.events import Event, Landed, Order, OrderKind
 from companion.mission.following import come_to_rest
-from companion.mission.phases import ON_PATH, ORDERED, OVER, TAKEN, By, Phase, Reason, Trigger
+from companion.mission.phases import (
+    GOING_UP,
+    ON_PATH,
+    ORDERED,
+    OVER,
+    TAKEN,
+    By,
+    Phase,
+    Reason,
+    Trigger,
+)
 from companion.mission.state import Flight, Goal, State, Targets, Vehicle, Way
 from companion.mission.stopped import resumed, taken
 from companion.mission.tables import is_breach_of_fence
@@ -20,7 +30,6 @@ from companion.planner.procedure import Leg
 from companion.planner.rules import target_refusal
 from companion.world.zones import nearest
 
-_GOING_UP = (Phase.ARMING, Phase.TAKING_OFF)
 _NOT_TO_GO_ON = (Phase.LANDING, Phase.HANDING_OVER, Phase.SHADOW, *OVER)
 _WAITS_FOR_FENCE = "it returns once the changed fence is read, or goes on being read for too long"
 _FEW_ITEMS = 10  # of a fence: they are read before a person has read the text
@@ -36,12 +45,12 @@ class OrderResult(enum.Enum):
 
 def order_result(state: State, order: Order, *, go: bool = False) -> OrderResult:
     """The result of an order, for its acknowledgement; go: it takes off without being told."""
-    in_air = state.phase in (*ON_PATH, *_GOING_UP, Phase.HOLDING, Phase.ARRIVED)
+    in_air = state.phase in (*ON_PATH, *GOING_UP, Phase.HOLDING, Phase.ARRIVED)
     match order.kind:
         case OrderKind.REPOSITION:
             if order.target_ne_m is None or target_refusal(state.task, order.target_ne_m):
                 return OrderResult.INVALID
-            led = in_air and state.phase not in _GOING_UP
+            led = in_air and state.phase not in GOING_UP
             return OrderResult.ACCEPTED if led else OrderResult.NOT_NOW
         case OrderKind.START | OrderKind.CONTINUE if not go and _waits_for_go(state):
             ready = state.phase is Phase.READY and order.kind is OrderKind.START
@@ -51,13 +60,13 @@ def order_result(state: State, order: Order, *, go: bool = False) -> OrderResult
         case OrderKind.PAUSE:
             return OrderResult.ACCEPTED if _may_pause(state) else OrderResult.NOT_NOW
         case OrderKind.RETURN:
-            held = state.held_for is not None and not (_accepts_orders(state) or _stops(state))
-            return OrderResult.ACCEPTED if in_air and not held else OrderResult.NOT_NOW
+            obeys = in_air and _obeys(state)
+            return OrderResult.ACCEPTED if obeys else OrderResult.NOT_NOW
         case OrderKind.LAND:
             held = state.held_by is By.NOBODY
             if state.phase is not Phase.LANDING and (held or not in_air):
                 return OrderResult.NOT_NOW
-            down = state.phase in _GOING_UP and state.vehicle.landed is Landed.ON_GROUND
+            down = state.phase in GOING_UP and state.vehicle.landed is Landed.ON_GROUND
             lands = state.vehicle.traits.lands or down  # then it stays there
             return OrderResult.ACCEPTED if lands else OrderResult.INVALID
 
@@ -94,21 +103,15 @@ def _is_short(state: State) -> bool:
 
 def _may_pause(state: State) -> bool:
     """Whether a pause is possible: a low battery would end it at once."""
-    if state.phase in _GOING_UP:
-        return True
-    if _is_short(state):
-        return False
-    return _accepts_orders(state) or _stops(state) or state.phase in ON_PATH
+    follows = state.phase in (*ON_PATH, Phase.HOLDING) and _obeys(state)
+    return state.phase in GOING_UP or (follows and not _is_short(state))
 
 
-def _accepts_orders(state: State) -> bool:
-    """Whether an order takes effect immediately in this hold."""
-    return state.held_by is By.SETPOINTS and state.reason is not Reason.BATTERY_LOW
-
-
-def _stops(state: State) -> bool:
-    """Whether it is stopped by its autopilot: an order takes effect once it is led again."""
-    return state.held_by is By.MODE and state.held_for is not Reason.STREAM_LOST
+def _obeys(state: State) -> bool:
+    """Whether an order takes effect: at once, or once what its autopilot stopped is led again."""
+    why = state.held_for
+    goes_its_way = why in (Reason.BATTERY_LOW, Reason.STREAM_LOST)
+    return why is None or not (goes_its_way or why.by is By.NOBODY)
 
 
 # --- threats
@@ -308,7 +311,7 @@ def _stop_for(state: State, goal: Goal, turn: Turn, *, pauses: bool = False) -> 
     state.goal, state.paused = goal, pauses
     order = Reason.PAUSED if pauses else goal.value
     assert order is not None
-    if state.phase in _GOING_UP:
+    if state.phase in GOING_UP:
         turn.fault(Reason.BROKEN_OFF)
     elif state.phase is Phase.ARRIVED and state.stage.asks:  # the end action's mode: it may have it
         turn.fault(Reason.TAKING_OVER)

@@ -35,22 +35,16 @@ class Phase(enum.Enum):
 
 
 ON_GROUND = (Phase.WAITING, Phase.PREPARING, Phase.READY, Phase.ARMING)
-IN_AIR = (
-    Phase.TAKING_OFF,
-    Phase.FLYING,
-    Phase.HOLDING,
-    Phase.ARRIVED,
-    Phase.RETURNING,
-    Phase.LANDING,
-    Phase.HANDING_OVER,
-)
+GOING_UP = (Phase.ARMING, Phase.TAKING_OFF)
 ON_PATH = (Phase.FLYING, Phase.RETURNING)
+LED = (*ON_PATH, Phase.ARRIVED)
+IN_AIR = (Phase.TAKING_OFF, *LED, Phase.HOLDING, Phase.LANDING, Phase.HANDING_OVER)
 OVER = (Phase.DONE, Phase.FAULTED)
-_LED = tuple(phase for phase in IN_AIR if phase not in (Phase.HOLDING, Phase.HANDING_OVER))
+_FOLLOWS = (Phase.TAKING_OFF, *LED, Phase.LANDING)
 _ALL = (*ON_GROUND, *IN_AIR, Phase.SHADOW)
 _HELD = (Phase.ARRIVED, Phase.HOLDING, Phase.RETURNING)
 _LANDS_FROM = (Phase.PREPARING, Phase.TAKING_OFF, Phase.FLYING, *_HELD, Phase.HANDING_OVER)
-_HANDS_OVER = (Phase.PREPARING, *_LED, Phase.HOLDING)
+_HANDS_OVER = (Phase.PREPARING, *_FOLLOWS, Phase.HOLDING)
 
 
 class Trigger(enum.Enum):
@@ -82,7 +76,7 @@ class Trigger(enum.Enum):
     HAND_OVER = ("no way back of ours is left: its autopilot's", _HANDS_OVER, Phase.HANDING_OVER)
     HANDED_ON = ("its autopilot returns by itself", Phase.HANDING_OVER, Phase.DONE)
     LANDED = ("on the ground, disarmed", (Phase.PREPARING, Phase.LANDING), Phase.DONE)
-    FAULT = ("it cannot go on; the reason says why", (Phase.ARMING, *_LED), Phase.HOLDING)
+    FAULT = ("it cannot go on; the reason says why", (Phase.ARMING, *_FOLLOWS), Phase.HOLDING)
     RESUME = ("the reason for holding is gone, or another try is due", _HELD, Phase.FLYING)
     PREPARE_AGAIN = ("heard again after a silence, or rebooted", _ALL[1:], Phase.PREPARING)
     GIVE_UP = ("no way to go on: somebody else brings it down", _ALL, Phase.DONE)

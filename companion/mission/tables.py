@@ -13,7 +13,7 @@ from companion.mission import phases
 from companion.mission.decisions import Context, Turn, in_words
 from companion.mission.events import Disarm, Event, Landed, LinkLost, Mode, Position, SetMode
 from companion.mission.mission import EndAction, Fallback
-from companion.mission.phases import IN_AIR, TAKES_OVER, By, Phase, Reason, Trigger
+from companion.mission.phases import GOING_UP, IN_AIR, LED, TAKES_OVER, By, Phase, Reason, Trigger
 from companion.mission.state import Goal, State, Way
 from companion.mission.vehicle_traits import UNKNOWN, TakeoffSequence
 from companion.mission.way_back import is_above_home
@@ -28,12 +28,9 @@ _BREACH_S = 5.0  # from what the autopilot does to what it says
 
 OURS: Final[dict[Phase | By, tuple[Mode, ...]]] = {
     Phase.TAKING_OFF: (Mode.GUIDED, Mode.TAKE_OFF, Mode.HOLD),
-    Phase.FLYING: (Mode.GUIDED,),
-    Phase.RETURNING: (Mode.GUIDED,),
-    Phase.ARRIVED: (Mode.GUIDED,),
+    **dict.fromkeys((*LED, By.SETPOINTS), (Mode.GUIDED,)),
     Phase.LANDING: (Mode.LAND,),
     Phase.HANDING_OVER: (Mode.GUIDED, Mode.HOLD, Mode.TAKE_OFF, Mode.RETURN),
-    By.SETPOINTS: (Mode.GUIDED,),
     By.MODE: (Mode.GUIDED, Mode.HOLD),
 }
 """Modes in which the vehicle does what we ask, by phase, and by who holds it; what
@@ -105,8 +102,7 @@ def still_goes_up(state: State) -> bool:
 # --- 2. what breaks a phase off
 
 
-_LED = (Phase.FLYING, Phase.RETURNING, Phase.ARRIVED)
-_UP = (Phase.TAKING_OFF, *_LED)
+_UP = (Phase.TAKING_OFF, *LED)
 _HELD = (Phase.HOLDING,)
 
 
@@ -154,7 +150,7 @@ FAULTS: Final[tuple[tuple[_Cause, tuple[Phase, ...], _Sign], ...]] = (
     (Reason.DISARMED, (*_UP, *_HELD), lambda s, _: not (s.vehicle.armed or stays_down(s))),
     (Reason.GROUNDED, _HELD, lambda s, _: s.is_grounded and not stays_down(s)),
     (_lost_or_taken, (*_UP, *_HELD), lambda s, _: not (stays_down(s) or _is_led(s))),
-    (Reason.GROUNDED, _LED, lambda s, _: s.is_grounded),
+    (Reason.GROUNDED, LED, lambda s, _: s.is_grounded),
     (lambda s: s.vehicle.distrust, _UP, lambda *_: True),
     (lambda s: s.vehicle.distrust, _HELD, lambda s, _: s.held_by is By.SETPOINTS),
 )
@@ -243,7 +239,7 @@ def _is_left_to_us(state: State) -> bool:
 
 
 def _does_as_told(state: State) -> bool:
-    mode, rises = state.vehicle.mode, state.phase in (Phase.ARMING, Phase.TAKING_OFF)
+    mode, rises = state.vehicle.mode, state.phase in GOING_UP
     rises = rises or state.held_for in TAKES_OVER or still_goes_up(state)
     return mode is Mode.GUIDED or (mode is Mode.TAKE_OFF and rises)
 

@@ -88,7 +88,7 @@ class Leg:
         """The task at the highest speed that it is proven for."""
         return self.rules.at_speed(self.speed_m_s)
 
-    @property
+    @cached_property
     def motion(self) -> Envelope:
         """How the vehicle moves on it."""
         return self.task.envelope
