@@ -65,10 +65,9 @@ def advance_reference(state: State, stage: phases.Led, path: OnPath, event: Posi
     slows_to_m_s, leaves_at_m = math.inf, math.inf
     if path.next_leg is not None:
         leaves_at_m = leg.successor_at_m
+        room_m = leaves_at_m - before.length_m
+        slows_to_m_s = procedure.entering_m_s(path.next_leg, leg.motion, room_m)
     if vehicle.traits.hovers:
-        if path.next_leg is not None:
-            room_m = leaves_at_m - before.length_m
-            slows_to_m_s = procedure.entering_m_s(path.next_leg, leg.motion, room_m)
         path.reference = procedure.advance(
             before,
             leg,

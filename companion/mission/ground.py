@@ -82,7 +82,7 @@ def _refuses(state: State, event: events.Prepared, turn: Turn) -> None:
     """The vehicle must not fly as it is set up."""
     if _is_flying(state):
         turn.warn(event.refusal)
-    elif state.unready:
+    elif state.unready or state.phase is Phase.READY:
         state.prepared -= {event.item}
         _unready(state, event.refusal, turn)
     else:
@@ -115,8 +115,7 @@ def ready(state: State, _: phases.Stage, event: Event, turn: Turn) -> None:
     elif state.vehicle.armed:
         turn.give_up(Reason.ARMED_ALREADY)
     elif isinstance(event, events.Prepared) and event.refusal:
-        state.prepared -= {event.item}
-        _unready(state, event.refusal, turn)
+        _refuses(state, event, turn)
     elif isinstance(event, LinkLost):
         _unready(state, Reason.LINK_LOST.text, turn)
     elif why := _why_unready(state, turn.context):

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from companion.mission import changes, events, flying, following, ground, phases, stopped, way_back
 from companion.mission.battery import take_battery
-from companion.mission.decisions import Context, Turn, hold_for, longest_silence_s, reason_text
+from companion.mission.decisions import Context, Turn, longest_silence_s, reason_text
 from companion.mission.events import Command, End, Event, Landed, Mode, Outcome, SetMode
 from companion.mission.health import distrust, take_distrust, take_position
 from companion.mission.phases import (
@@ -220,7 +220,7 @@ def _enter(state: State, trigger: Trigger, turn: Turn) -> None:
             turn.do(*parting(state, stopped=trigger is Trigger.STOP))
         turn.do(_end_of(state, trigger))
     if phase is Phase.HOLDING:
-        hold_for(state, state.reason or Reason.NO_PLAN)
+        turn.hold(state.reason or Reason.NO_PLAN)
     else:
         state.stage = turn.stage or PHASES[phase][0](phase=phase)
     state.stage.since_s = state.stage.progress_at_s = state.now_s
@@ -244,7 +244,8 @@ def _enter(state: State, trigger: Trigger, turn: Turn) -> None:
         case Phase.FLYING | Phase.LANDING | Phase.RETURNING:
             _set_out(state, turn)
         case Phase.HOLDING:
-            _hold(state, turn)
+            assert isinstance(state.stage, phases.Holding)
+            _hold(state, state.stage, turn)
         case Phase.ARRIVED:
             stopped.say_reached(state, turn)
         case _:
@@ -264,16 +265,15 @@ def _set_out(state: State, turn: Turn) -> None:
         turn.do(events.SetSpeed(speed_m_s=state.task.limits.speed_m_s))
 
 
-def _hold(state: State, turn: Turn) -> None:
-    """Hold for the reason that there is."""
-    reason = state.reason or Reason.NO_PLAN
-    turn.hold(reason)
+def _hold(state: State, held: phases.Holding, turn: Turn) -> None:
+    """What comes with a hold, for the reason that there is."""
+    reason = held.why
     if reason in TAKEN:
         state.taken = True
     elif reason.by is not By.SETPOINTS and reason not in TAKES_OVER:
         state.flight.troubles += 1
     if reason.asks_to_hold:
-        state.stage.asked_at_s = state.now_s
+        held.asked_at_s = state.now_s
         broken_off = reason is Reason.BROKEN_OFF
         turn.do(*(parting(state) if broken_off else [SetMode(mode=Mode.HOLD)]))
 

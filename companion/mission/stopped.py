@@ -38,7 +38,7 @@ from companion.mission.following import come_to_rest, send_hold
 from companion.mission.health import TRUST_S
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.phases import ORDERED, TAKEN, TAKES_OVER, By, Reason, Trigger
-from companion.mission.state import State
+from companion.mission.state import State, Way
 from companion.mission.tables import is_ours, parting, stays_down, takeover_reason, wanted_fallback
 from companion.mission.way_back import begins_at_home, home_ne_m, is_above_home
 
@@ -237,8 +237,7 @@ def _end_of_hold(state: State, event: Position, turn: Turn) -> None:
         return _other_way(state, turn)
     low_battery = state.reason is Reason.BATTERY_LOW  # which may have ended a pause
     on_way_back = flight.returning or (low_battery and flight.homeward)
-    goes_back = flight.returning or flight.homeward
-    if state.vehicle.ground_above_m and not goes_back and why not in ORDERED:
+    if state.vehicle.ground_above_m and flight.way is Way.OUT and why not in ORDERED:
         if held_s < _SENSOR_S * turn.context.mission.attempts:
             return
         hold_for(state, Reason.GROUND_NEARER)

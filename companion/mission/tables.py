@@ -186,8 +186,7 @@ _BRINGS_DOWN: Final = {
     Mode.LAND: ("landing here", Trigger.END_LAND),
     Mode.RETURN: ("its autopilot is told to return", Trigger.HAND_OVER),
 }
-_ASKED_IN: Final = {Phase.LANDING: Mode.LAND, Phase.HANDING_OVER: Mode.RETURN}
-"""The mode that a phase requests: given up in it, it was refused."""
+"""What is said then, and what requests the mode; given up in the phase after, it was refused."""
 
 
 def wanted_fallback(state: State, context: Context) -> Fallback:
@@ -205,8 +204,8 @@ def fall_back(state: State, turn: Turn) -> None:
     fallback = wanted_fallback(state, turn.context)
     if fallback is Fallback.HOLD or traits is UNKNOWN or not _is_left_to_us(state):
         return
-    if state.phase in _ASKED_IN:
-        flight.refused_modes |= {_ASKED_IN[state.phase]}
+    asked = (mode for mode, (_, trigger) in _BRINGS_DOWN.items() if trigger.after is state.phase)
+    flight.refused_modes |= {*asked}
     if state.vehicle.distrust is not None or is_above_home(state):
         fallback = Fallback.LAND
     able = {Mode.RETURN, Mode.LAND} if traits.lands else {Mode.RETURN}
