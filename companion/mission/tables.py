@@ -141,35 +141,36 @@ def _is_led(state: State) -> bool:
     return is_ours(state) and lost_s <= _LEADS_BACK_S
 
 
-_Cause = Reason | Callable[[State], Reason | None]
+def _holds_as_asked(state: State) -> bool:
+    """Whether it does what was asked of it last, at the target."""
+    return state.vehicle.mode is Mode.HOLD and state.stage.asked_at_s > state.stage.since_s
+
+
+_Cause = Reason | Callable[[State], Reason | None] | None
 _Sign = Callable[[State, Event], bool]
 
 FAULTS: Final[tuple[tuple[_Cause, tuple[Phase, ...], _Sign], ...]] = (
+    (None, (Phase.ARRIVED,), lambda s, _: _holds_as_asked(s)),
     (Reason.FENCE_BREACHED, _HELD, lambda s, e: isinstance(e, Position) and is_breach_of_fence(s)),
     (Reason.LINK_LOST, (*_UP, *_HELD), lambda s, e: isinstance(e, LinkLost) or _falls_silent(s)),
-    (Reason.DISARMED, (*_UP, *_HELD), lambda s, _: not (s.vehicle.armed or stays_down(s))),
-    (Reason.GROUNDED, _HELD, lambda s, _: s.is_grounded and not stays_down(s)),
-    (_lost_or_taken, (*_UP, *_HELD), lambda s, _: not (stays_down(s) or _is_led(s))),
+    (None, _HELD, lambda s, _: stays_down(s)),
+    (Reason.DISARMED, (*_UP, *_HELD), lambda s, _: not s.vehicle.armed),
+    (Reason.GROUNDED, _HELD, lambda s, _: s.is_grounded),
+    (_lost_or_taken, (*_UP, *_HELD), lambda s, _: not _is_led(s)),
     (Reason.GROUNDED, LED, lambda s, _: s.is_grounded),
     (lambda s: s.vehicle.distrust, _UP, lambda *_: True),
     (lambda s: s.vehicle.distrust, _HELD, lambda s, _: s.held_by is By.SETPOINTS),
 )
 """Why a phase is broken off, in which of them that counts, and when it is so; the first that is.
+None: it is as it should be, and what comes below does not count.
 That the vehicle does not obey comes before a position that is not to be believed."""
 
 
 def fault_of(state: State, event: Event) -> Reason | None:
     """Why this phase cannot go on; None: it can."""
-    vehicle, phase = state.vehicle, state.phase
-    if (
-        phase is Phase.ARRIVED
-        and vehicle.mode is Mode.HOLD
-        and state.stage.asked_at_s > state.stage.since_s
-    ):
-        return None  # it does what was asked of it last
     for cause, counts_in, is_so in FAULTS:
-        if phase in counts_in and is_so(state, event):
-            return cause if isinstance(cause, Reason) else cause(state)
+        if state.phase in counts_in and is_so(state, event):
+            return cause(state) if callable(cause) else cause
     return None
 
 
