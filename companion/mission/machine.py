@@ -90,7 +90,9 @@ def _break_off(state: State, reason: Reason, turn: Turn) -> None:
     """What follows from a row of `tables.FAULTS`."""
     if state.phase is Phase.HOLDING:
         stopped.broken_off(state, reason, turn)
-    elif state.phase is Phase.TAKING_OFF and state.vehicle.landed is Landed.ON_GROUND:
+    elif state.phase is Phase.HANDING_OVER or (
+        state.phase is Phase.TAKING_OFF and state.vehicle.landed is Landed.ON_GROUND
+    ):
         turn.give_up(reason)
     else:
         if state.phase is not Phase.TAKING_OFF:

@@ -488,10 +488,6 @@ def handing_over(state: State, stage: phases.Stage, _event: Event, turn: Turn) -
         return
     if vehicle.mode is Mode.RETURN:
         return turn.to(Trigger.HANDED_ON)
-    if not vehicle.armed or state.is_grounded:
-        return turn.give_up(Reason.GROUNDED if vehicle.armed else Reason.DISARMED)
-    if not is_ours(state):
-        return turn.give_up(takeover_reason(state))
     if stage.asks == _ASKS and state.now_s - stage.asked_at_s >= ASK_AGAIN_S:
         return turn.give_up(Reason.NOT_OBEYING)
     turn.ask(SetMode(mode=Mode.RETURN))

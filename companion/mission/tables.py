@@ -104,6 +104,7 @@ def still_goes_up(state: State) -> bool:
 
 _UP = (Phase.TAKING_OFF, *LED)
 _HELD = (Phase.HOLDING,)
+_LEAVES = (Phase.HANDING_OVER,)
 
 
 def _lost_or_taken(state: State) -> Reason:
@@ -151,12 +152,13 @@ _Sign = Callable[[State, Event], bool]
 
 FAULTS: Final[tuple[tuple[_Cause, tuple[Phase, ...], _Sign], ...]] = (
     (None, (Phase.ARRIVED,), lambda s, _: _holds_as_asked(s)),
+    (None, _LEAVES, lambda s, _: s.is_silent or s.vehicle.mode is Mode.RETURN),
     (Reason.FENCE_BREACHED, _HELD, lambda s, e: isinstance(e, Position) and is_breach_of_fence(s)),
     (Reason.LINK_LOST, (*_UP, *_HELD), lambda s, e: isinstance(e, LinkLost) or _falls_silent(s)),
     (None, _HELD, lambda s, _: stays_down(s)),
-    (Reason.DISARMED, (*_UP, *_HELD), lambda s, _: not s.vehicle.armed),
-    (Reason.GROUNDED, _HELD, lambda s, _: s.is_grounded),
-    (_lost_or_taken, (*_UP, *_HELD), lambda s, _: not _is_led(s)),
+    (Reason.DISARMED, (*_UP, *_HELD, *_LEAVES), lambda s, _: not s.vehicle.armed),
+    (Reason.GROUNDED, (*_HELD, *_LEAVES), lambda s, _: s.is_grounded),
+    (_lost_or_taken, (*_UP, *_HELD, *_LEAVES), lambda s, _: not _is_led(s)),
     (Reason.GROUNDED, LED, lambda s, _: s.is_grounded),
     (lambda s: s.vehicle.distrust, _UP, lambda *_: True),
     (lambda s: s.vehicle.distrust, _HELD, lambda s, _: s.held_by is By.SETPOINTS),
