@@ -174,6 +174,8 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
     The vehicle's state is not part of it: the vehicle is prepared again.
     """
     json.dumps(values, allow_nan=False)  # ValueError: a number that is not finite
+    if (fence := values.get("fence")) is not None:
+        values = {**values, "fence": {"t_s": 0.0, **fence}}  # older ones have no time
     saved = msgspec.convert(values, Saved, dec_hook=_decoded)
     paused = saved.standing == Reason.PAUSED.name
     state = filled(
