@@ -125,9 +125,6 @@ def _on_fence(state: State, event: events.FenceChanged, turn: Turn) -> None:
     on_path = state.phase in ON_PATH
     if (inside := _inside(state)) and not on_path:
         turn.warn(f"inside zone {inside}")
-    hover = flight.hover_nea_m
-    if path is None and hover is not None and not state.vehicle.traits.hovers and not inside:
-        following.warn_of_circle(state, hover, turn)
     legs: list[tuple[Leg | None, float]] = [(leg, 0.0) for leg in flight.back]
     if path is not None:
         legs += [(path.leg, path.reference.length_m), (path.next_leg, 0.0)]

@@ -11,7 +11,7 @@ import numpy as np
 from companion.mission import events, following, phases, way_back
 from companion.mission.battery import gives_up_for_battery, warn_of_battery
 from companion.mission.decisions import AT_M, Context, Turn, in_words, waits_for_fence
-from companion.mission.events import Event, Landed, Position, Vector
+from companion.mission.events import Event, Landed, Mode, Position, Vector
 from companion.mission.following import come_to_rest, rest_at_end, send_hold
 from companion.mission.health import TRUST_S
 from companion.mission.phases import OnPath, Phase, Reason, Trigger
@@ -22,12 +22,14 @@ from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
 from companion.planner.settings import Task
 from companion.world.columns import distance_to_terrain_m
 from companion.world.known_map import proven_range_m
+from companion.world.zones import nearest
 
 _STUCK_S = 30.0  # the reference point waits no longer for a vehicle that does not follow
 _ANSWER_SLACK_S = 60.0
 _DEPARTURES, _DEPARTURES_NEAR = 3, 10  # the latter where a tracking error is a few decimetres
 _LEVEL_M_S = 1.0
 _TURNS = 3.0
+_CIRCLE_SLACK_M = 0.5  # a leg may end where its circle just keeps the clearance
 _SHORT_SIGHTED = 0.8  # of R
 _SAY_AGAIN_S = 10.0  # in shadow: scan again, until there is a leg
 _ARRIVED_M = 30.0
@@ -39,6 +41,8 @@ def on_path(state: State, stage: phases.Led, event: Event, turn: Turn) -> None:
     if not isinstance(event, Position):
         if isinstance(stage, phases.Flying):
             on_answer(state, stage, event, turn)
+        return
+    if stage.path is None and looks_at_circle(state, turn):
         return
     # perhaps: it has to last a while
     is_short = stage.phase is Phase.FLYING and state.vehicle.battery_short_at_s is not None
@@ -69,6 +73,22 @@ def on_answer(state: State, stage: phases.Flying, event: Event, turn: Turn) -> N
             stage.shortfall = Reason.PLAN_LATE
         case _:
             pass
+
+
+def looks_at_circle(state: State, turn: Turn) -> bool:
+    """Look at a plane's circle, once where it waits for a leg; False: this is not the time."""
+    flight, hover, vehicle = state.flight, state.flight.hover_nea_m, state.vehicle
+    if vehicle.traits.hovers or state.path is not None or hover is None:
+        return False
+    task, place = flight.loiter_checked or (None, None)
+    led = vehicle.mode is Mode.GUIDED and vehicle.distrust is None and not state.is_silent
+    if (task is state.task and place == hover) or not led:
+        return False
+    zone, gap_m = nearest(state.task.zones, hover[0], hover[1])
+    if zone is not None and gap_m < state.task.zone_clearance_m - _CIRCLE_SLACK_M:
+        turn.warn(f"circling too near to zone {zone.name}")
+    flight.loiter_checked = state.task, hover
+    return True
 
 
 def _lead(state: State, stage: phases.Led, path: OnPath, event: Position, turn: Turn) -> None:

@@ -19,7 +19,6 @@ from companion.planner import procedure
 from companion.planner.loiter_search import loiter_point
 from companion.planner.procedure import Leg, Offset, Reference
 from companion.planner.request import FlownSegment
-from companion.world.zones import nearest as nearest_zone
 
 _NOT_TAKEN_S = 2.0
 _FARTHEST = 1.0  # tubes beyond the first: there it is told to hold at once, half of d_s at most
@@ -34,7 +33,6 @@ _SENT_LATELY_S = 1.0
 _AT_TARGET_M = 1.0  # nearer to it, the direction to it is that of an error
 _LONGEST_LEAD = 1.3  # of what the path's tail was made for
 _AT_END = 1.2  # loiter radii
-_CIRCLE_SLACK_M = 0.5  # a leg may end where its circle just keeps the clearance
 _BEYOND = 0.25  # loiter radii: if it is left there, the circle that it then flies is proven
 
 _SPACING_M = 1.0
@@ -325,9 +323,6 @@ def send_hold(state: State, time_s: float, turn: Turn) -> None:
     least_s -= 0.5 * vehicle.position_step_s
     if here is None or state.now_s - flight.sent_at_s <= least_s:
         return
-    is_new = flight.sent is None or not flight.sent.stay or flight.sent.position_nea_m != here
-    if is_new and not vehicle.traits.hovers:
-        warn_of_circle(state, here, turn)
     sent = Setpoint(
         time_s=time_s,
         position_nea_m=_on_the_way(state, here),
@@ -337,13 +332,6 @@ def send_hold(state: State, time_s: float, turn: Turn) -> None:
     )
     flight.sent, flight.sent_at_s = sent, state.now_s
     turn.commands.append(sent)
-
-
-def warn_of_circle(state: State, place_nea_m: Vector, turn: Turn) -> None:
-    """Say that a plane's circle is too near to a zone, of which its end of a leg knew nothing."""
-    zone, gap_m = nearest_zone(state.task.zones, place_nea_m[0], place_nea_m[1])
-    if zone is not None and gap_m < state.task.zone_clearance_m - _CIRCLE_SLACK_M:
-        turn.warn(f"circling too near to zone {zone.name}")
 
 
 def _towards_target_rad(state: State, here_nea_m: Vector) -> float:

@@ -123,6 +123,8 @@ class Flight(Struct, kw_only=True):
     target: int = 0
     hover_nea_m: Vector | None = None
     """Where to hold while there is no leg."""
+    loiter_checked: tuple[Task, Vector] | None = None
+    """Rules and hold position of the last look at the zones about a plane's circle."""
     plan_id: int = 0
     """Of the newest plan request."""
     route_ne_m: tuple[tuple[float, float], ...] = ()

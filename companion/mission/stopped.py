@@ -34,6 +34,7 @@ from companion.mission.decisions import (
     waits_for_fence,
 )
 from companion.mission.events import Battery, Event, Landed, Mode, PlanReady, Position, SetMode
+from companion.mission.flying import looks_at_circle
 from companion.mission.following import come_to_rest, send_hold
 from companion.mission.health import TRUST_S
 from companion.mission.mission import EndAction, Fallback
@@ -70,6 +71,8 @@ def holding(state: State, held: phases.Holding, event: Event, turn: Turn) -> Non
     """Stop as the reason allows, and continue when it is gone."""
     if stays_down(state):
         return _stay_down(state, turn)
+    if isinstance(event, Position) and looks_at_circle(state, turn):
+        return
     if held.why is Reason.STREAM_LOST:
         return _take_again(state, event, turn)
     if held.why is Reason.LINK_LOST:
