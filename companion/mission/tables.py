@@ -33,8 +33,8 @@ OURS: Final[dict[Phase | By, tuple[Mode, ...]]] = {
     Phase.HANDING_OVER: (Mode.GUIDED, Mode.HOLD, Mode.TAKE_OFF, Mode.RETURN),
     By.MODE: (Mode.GUIDED, Mode.HOLD),
 }
-"""Modes in which the vehicle does what we ask, by phase, and by who holds it; what
-is not named has let go of it, or has not got it yet."""
+"""Modes in which the vehicle does what we ask, by phase, and by who holds it; what is not named has
+let go of it, or has not got it yet."""
 _ANY = (*Mode, None)
 
 
