@@ -16,7 +16,7 @@ from packaging.utils import canonicalize_name
 from pydantic import TypeAdapter
 
 from companion.mission import journal
-from companion.mission.phases import Hold, Phase, Reason, Trigger
+from companion.mission.phases import By, Phase, Reason, Trigger
 from companion.path.certificate import Certificate
 from companion.planner.request import Refusal
 from companion.telemetry.flight_status import FlightBegun, FlightEnded, FlightStatus
@@ -185,11 +185,11 @@ def mission_states_page() -> str:
     lines += ["", "## Triggers", "", "| trigger | when |", "|---|---|"]
     lines += [f"| `{trigger.name.lower()}` | {trigger.when} |" for trigger in Trigger]
     lines += ["", "## Holds", "", "How a vehicle is held, in the phase holding, by the reason:", ""]
-    lines += ["| hold | how | reasons |", "|---|---|---|"]
-    for hold in Hold:
-        reasons = ", ".join(f"`{each.name}`" for each in Reason if each.hold is hold)
-        reasons = "all others" if hold is Hold.MODE else reasons
-        lines.append(f"| {hold.name.lower()} | {hold.value} | {reasons} |")
+    lines += ["| by | who holds it | reasons |", "|---|---|---|"]
+    for by in By:
+        reasons = ", ".join(f"`{each.name}`" for each in Reason if each.by is by)
+        reasons = "all others" if by is By.MODE else reasons
+        lines.append(f"| {by.name.lower()} | {by.value} | {reasons} |")
     return "\n".join(lines) + "\n"
 
 

@@ -7,7 +7,7 @@ from typing import TypeVar
 import msgspec
 
 from companion.mission.machine import PHASES
-from companion.mission.phases import Hold, Holding, Led, Preparing
+from companion.mission.phases import Holding, Led, Preparing, Reason
 from companion.mission.state import State
 
 Value = TypeVar("Value")
@@ -32,7 +32,7 @@ def replace(value: Value, /, **changes: object) -> Value:
         phase, stage = changes.pop("phase", value.phase), value.stage
         if phase is not stage.phase:
             kind = PHASES[phase][0]
-            held = {"how": Hold.MODE} if kind is Holding else {}
+            held = {"why": Reason.ESTIMATOR} if kind is Holding else {}
             stage = kind(phase=phase, since_s=stage.since_s, **held)
         of_stage = {name: changes.pop(name) for name in [*changes] if hasattr(stage, name)}
         changes["stage"] = msgspec.structs.replace(changes.get("stage", stage), **of_stage)

@@ -3,14 +3,12 @@
 import itertools
 import math
 
-from msgspec.structs import replace
-
 from companion.mission import following
 from companion.mission.decisions import Turn
 from companion.mission.events import Battery, Landed
 from companion.mission.mission import Mission
 from companion.mission.phases import Reason
-from companion.mission.state import State, Way
+from companion.mission.state import Goal, State, Way
 from companion.mission.way_back import beyond_path_m
 
 _DRAIN_S = 60.0  # before that, what the battery has lost says nothing of what it will
@@ -65,27 +63,22 @@ def battery_lasts(state: State, mission: Mission) -> bool:
     return left_s >= way_m / state.task.limits.speed_m_s
 
 
-def battery_runs_low(state: State) -> bool:
-    """Whether the battery ends the mission, or a pause.
+def gives_up_for_battery(state: State) -> bool:
+    """Whether the battery ends the mission, or a pause; then it is given up for its fallback.
 
-    Not for a mission that was already given up.
+    Not a mission that was already given up, nor the return in progress, which is gone on with.
     """
-    if not battery_is_short(state):
-        return False
-    if state.reason is Reason.PAUSED:
-        return True
     flight = state.flight
-    ordered = state.orders.active in (Reason.RETURN_ASKED, Reason.LAND_ASKED)
-    return flight.fallen_back is None and not (flight.homeward or ordered)
-
-
-def give_up_for_battery(state: State) -> None:
-    """Give up the mission for its fallback, or continue the return in progress."""
-    flight, low = state.flight, Reason.BATTERY_LOW
-    state.orders = replace(state.orders, active=low)
+    ordered = state.order in (Reason.RETURN_ASKED, Reason.LAND_ASKED)
+    is_over = flight.fallen_back is not None or flight.homeward or ordered
+    if not battery_is_short(state) or (is_over and state.reason is not Reason.PAUSED):
+        return False
+    state.goal = Goal.DOWN if state.goal is Goal.TARGETS else state.goal
+    state.paused = False
     flight.battery_told = _TOLD_SHORT
-    if not (flight.returning or flight.homeward):
-        flight.fallen_back = low
+    if flight.way is Way.OUT:
+        flight.fallen_back = Reason.BATTERY_LOW
+    return True
 
 
 def warn_of_battery(state: State, turn: Turn) -> None:

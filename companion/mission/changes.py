@@ -11,8 +11,18 @@ from companion.mission.battery import battery_is_short
 from companion.mission.decisions import Turn, hold_for
 from companion.mission.events import Event, Landed, Order, OrderKind
 from companion.mission.following import come_to_rest
-from companion.mission.phases import ON_PATH, ON_SETPOINTS, OVER, Hold, Phase, Reason, Trigger
-from companion.mission.state import Flight, Orders, State, Targets, Vehicle, Way
+from companion.mission.phases import (
+    GOING_UP,
+    ON_PATH,
+    ORDERED,
+    OVER,
+    TAKEN,
+    By,
+    Phase,
+    Reason,
+    Trigger,
+)
+from companion.mission.state import Flight, Goal, State, Targets, Vehicle, Way
 from companion.mission.stopped import resumed, taken
 from companion.mission.tables import is_breach_of_fence
 from companion.mission.way_back import set_targets
@@ -20,7 +30,6 @@ from companion.planner.procedure import Leg
 from companion.planner.rules import target_refusal
 from companion.world.zones import nearest
 
-_GOING_UP = (Phase.ARMING, Phase.TAKING_OFF)
 _NOT_TO_GO_ON = (Phase.LANDING, Phase.HANDING_OVER, Phase.SHADOW, *OVER)
 _WAITS_FOR_FENCE = "it returns once the changed fence is read, or goes on being read for too long"
 _FEW_ITEMS = 10  # of a fence: they are read before a person has read the text
@@ -36,12 +45,12 @@ class OrderResult(enum.Enum):
 
 def order_result(state: State, order: Order, *, go: bool = False) -> OrderResult:
     """The result of an order, for its acknowledgement; go: it takes off without being told."""
-    in_air = state.phase in (*ON_PATH, *_GOING_UP, Phase.HOLDING, Phase.ARRIVED)
+    in_air = state.phase in (*ON_PATH, *GOING_UP, Phase.HOLDING, Phase.ARRIVED)
     match order.kind:
         case OrderKind.REPOSITION:
             if order.target_ne_m is None or target_refusal(state.task, order.target_ne_m):
                 return OrderResult.INVALID
-            led = in_air and state.phase not in _GOING_UP
+            led = in_air and state.phase not in GOING_UP
             return OrderResult.ACCEPTED if led else OrderResult.NOT_NOW
         case OrderKind.START | OrderKind.CONTINUE if not go and _waits_for_go(state):
             ready = state.phase is Phase.READY and order.kind is OrderKind.START
@@ -51,13 +60,13 @@ def order_result(state: State, order: Order, *, go: bool = False) -> OrderResult
         case OrderKind.PAUSE:
             return OrderResult.ACCEPTED if _may_pause(state) else OrderResult.NOT_NOW
         case OrderKind.RETURN:
-            held = state.hold is not None and not (_accepts_orders(state) or _stops(state))
-            return OrderResult.ACCEPTED if in_air and not held else OrderResult.NOT_NOW
+            obeys = in_air and _obeys(state)
+            return OrderResult.ACCEPTED if obeys else OrderResult.NOT_NOW
         case OrderKind.LAND:
-            held = state.hold in (Hold.TAKEN_OVER, Hold.GROUNDED, Hold.SILENT)
+            held = state.held_by is By.NOBODY
             if state.phase is not Phase.LANDING and (held or not in_air):
                 return OrderResult.NOT_NOW
-            down = state.phase in _GOING_UP and state.vehicle.landed is Landed.ON_GROUND
+            down = state.phase in GOING_UP and state.vehicle.landed is Landed.ON_GROUND
             lands = state.vehicle.traits.lands or down  # then it stays there
             return OrderResult.ACCEPTED if lands else OrderResult.INVALID
 
@@ -89,26 +98,20 @@ def _waits_for_go(state: State) -> bool:
 
 
 def _is_short(state: State) -> bool:
-    return state.orders.active is Reason.BATTERY_LOW or battery_is_short(state)
+    return state.goal is Goal.DOWN or battery_is_short(state)
 
 
 def _may_pause(state: State) -> bool:
     """Whether a pause is possible: a low battery would end it at once."""
-    if state.phase in _GOING_UP:
-        return True
-    if _is_short(state):
-        return False
-    return _accepts_orders(state) or _stops(state) or state.phase in ON_PATH
+    follows = state.phase in (*ON_PATH, Phase.HOLDING) and _obeys(state)
+    return state.phase in GOING_UP or (follows and not _is_short(state))
 
 
-def _accepts_orders(state: State) -> bool:
-    """Whether an order takes effect immediately in this hold."""
-    return state.hold in ON_SETPOINTS and state.reason is not Reason.BATTERY_LOW
-
-
-def _stops(state: State) -> bool:
-    """Whether it is stopped by its autopilot: an order takes effect once it is led again."""
-    return state.hold in (Hold.MODE, Hold.TAKE_OVER)
+def _obeys(state: State) -> bool:
+    """Whether an order takes effect: at once, or once what its autopilot stopped is led again."""
+    why = state.held_for
+    goes_its_way = why in (Reason.BATTERY_LOW, Reason.STREAM_LOST)
+    return why is None or not (goes_its_way or why.by is By.NOBODY)
 
 
 # --- threats
@@ -202,17 +205,16 @@ def _on_targets(state: State, event: events.TargetsChanged, turn: Turn) -> None:
     elif not targets_ne_m and state.phase not in (Phase.WAITING, Phase.PREPARING, Phase.READY):
         turn.warn("the vehicle's mission is empty: the old one is flown")
     else:
-        _fly_to(state, targets_ne_m, "mission changed", state.orders, turn)
+        _fly_to(state, targets_ne_m, "mission changed", turn)
 
 
-def _fly_to(state: State, targets_ne_m: Targets, why: str, orders: Orders, turn: Turn) -> None:
+def _fly_to(state: State, targets_ne_m: Targets, why: str, turn: Turn) -> None:
     """New targets: stop, and plan to the first of them."""
     flight = state.flight
     for target in targets_ne_m:
         if trouble := target_refusal(state.task, target):
             return turn.warn(f"{why}: {trouble}")
     set_targets(state, targets_ne_m, Way.OUT)
-    state.orders = orders
     state.vehicle.battery_short_at_s = flight.fallen_back = flight.refusal = None
     if isinstance(state.stage, phases.Flying) and isinstance(state.stage.search, phases.Planning):
         state.stage.search = phases.Answered()
@@ -223,7 +225,7 @@ def _fly_to(state: State, targets_ne_m: Targets, why: str, orders: Orders, turn:
         turn.fault(Reason.TAKING_OVER)  # it may hold by now
     elif state.phase is Phase.ARRIVED:
         turn.to(Trigger.NEXT_TARGET)
-    elif state.hold in (Hold.PAUSED, Hold.RETURN, Hold.LAND):
+    elif state.held_for in ORDERED:
         hold_for(state, Reason.NEW_TARGET)
 
 
@@ -239,9 +241,10 @@ def _on_order(state: State, order: Order, turn: Turn) -> None:
         case OrderKind.REPOSITION:
             assert order.target_ne_m is not None
             outward = state.phase is Phase.FLYING and state.flight.target == 0
-            flies = outward and state.orders.active is None and not state.flight.homeward
+            flies = outward and state.order is None and not state.flight.homeward
             if not flies or (order.target_ne_m,) != state.targets_ne_m:  # else it goes there
-                _fly_to(state, (order.target_ne_m,), "new target", Orders(), turn)
+                state.goal, state.paused = Goal.TARGETS, False
+                _fly_to(state, (order.target_ne_m,), "new target", turn)
         case OrderKind.RETURN:
             goes_on = turn.context.mission.goes_on_while_reading
             if state.fence_unread_s is not None and not goes_on:
@@ -249,23 +252,22 @@ def _on_order(state: State, order: Order, turn: Turn) -> None:
             if state.flight.way is not Way.OUT:
                 _back_again(state, turn)
             else:
-                _stop_for(state, Reason.RETURN_ASKED, turn)
+                _stop_for(state, Goal.HOME, turn)
         case OrderKind.LAND:  # once it has stopped
-            if state.phase is not Phase.LANDING and state.orders.active is not Reason.LAND_ASKED:
-                _stop_for(state, Reason.LAND_ASKED, turn)
+            if state.phase is not Phase.LANDING and state.order is not Reason.LAND_ASKED:
+                _stop_for(state, Goal.LAND, turn)
 
 
 def _go_on(state: State, turn: Turn) -> None:
-    """End a pause: the order suspended by it is active again."""
-    wanted = state.orders.suspended or Reason.CONTINUED
-    if state.orders.active is Reason.PAUSED:
-        state.orders = Orders(state.orders.suspended)
+    """End a pause: it goes on to its goal."""
+    state.paused = False
+    wanted = state.order or Reason.CONTINUED
     if state.phase in ON_PATH and _brakes_for(state, wanted, Reason.PAUSED):
         turn.say("going on")
-    elif state.hold is Hold.PAUSED:
+    elif state.held_for is Reason.PAUSED:
         turn.say("going on")
         resumed(state, turn)
-    elif isinstance(state.stage, phases.Holding) and state.stage.how is Hold.TAKEN_OVER:
+    elif isinstance(state.stage, phases.Holding) and state.stage.why in TAKEN:
         state.stage.released_at_s = state.now_s
 
 
@@ -273,27 +275,20 @@ def _pause(state: State, turn: Turn) -> None:
     """Hold until an order to continue; a return that has not begun is suspended."""
     if not _may_pause(state):
         return
-    state.orders = state.orders.paused()
-    if state.phase in _GOING_UP:
-        turn.fault(Reason.BROKEN_OFF)
-    elif state.phase in ON_PATH:
-        following.stop(state, Reason.PAUSED, turn)
-    else:
+    if state.held_for is not None:
         turn.say(Reason.PAUSED.text)
-        if not _stops(state):
-            hold_for(state, Reason.PAUSED)
+    _stop_for(state, state.goal, turn, pauses=True)
 
 
 def _back_again(state: State, turn: Turn) -> None:
     """Go on with the backtrack."""
-    orders = state.orders
-    if Reason.LAND_ASKED not in (orders.active, orders.suspended):
-        if orders.active is Reason.PAUSED:
+    if state.goal is not Goal.LAND:
+        if state.paused:
             _go_on(state, turn)
         return
-    state.orders = Orders()
+    state.goal, state.paused = Goal.HOME, False
     if not _brakes_for(state, Reason.CONTINUED, Reason.PAUSED, Reason.LAND_ASKED):
-        if state.hold not in (Hold.PAUSED, Hold.LAND):
+        if state.held_for not in (Reason.PAUSED, Reason.LAND_ASKED):
             return
         hold_for(state, Reason.CONTINUED)
     turn.say("going on")
@@ -308,18 +303,18 @@ def _brakes_for(state: State, reason: Reason, *before: Reason) -> bool:
     return True
 
 
-def _stop_for(state: State, order: Reason, turn: Turn) -> None:
-    """Stop as the phase allows; then the order is carried out."""
-    state.orders = Orders(order)
-    if state.phase in _GOING_UP:
+def _stop_for(state: State, goal: Goal, turn: Turn, *, pauses: bool = False) -> None:
+    """Stop as the phase allows; then it goes on to that goal, or waits in a pause."""
+    state.goal, state.paused = goal, pauses
+    order = Reason.PAUSED if pauses else goal.value
+    assert order is not None
+    if state.phase in GOING_UP:
         turn.fault(Reason.BROKEN_OFF)
-    elif (
-        state.phase is Phase.ARRIVED and state.stage.asks
-    ):  # for the end action's mode: it may have it
+    elif state.phase is Phase.ARRIVED and state.stage.asks:  # the end action's mode: it may have it
         turn.fault(Reason.TAKING_OVER)
     elif state.phase in (*ON_PATH, Phase.ARRIVED):
         following.stop(state, order, turn)
-    elif state.hold in ON_SETPOINTS and state.reason is not order:
+    elif state.held_by is By.SETPOINTS and state.reason is not order:
         hold_for(state, order)
 
 
@@ -348,11 +343,8 @@ def _on_reboot(state: State, _event: events.Rebooted, turn: Turn) -> None:
         return
     flight = state.flight
     home, traits = state.vehicle.home_nea_m if state.airborne else None, state.vehicle.traits
-    if flight.returning:  # the way back is asked for again
-        paused = state.orders.active is Reason.PAUSED
-        state.orders = Orders(Reason.RETURN_ASKED)
-        if paused:
-            state.orders = state.orders.paused()
+    if flight.returning and state.goal is Goal.TARGETS:  # the way back is asked for again
+        state.goal = Goal.HOME
     was = state.stage
     again = phases.Preparing()
     if state.phase is Phase.READY or state.unready:

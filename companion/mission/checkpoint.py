@@ -12,14 +12,15 @@ from typing import Any, Final, final
 
 import msgspec
 from msgspec import MsgspecError, Struct
+from msgspec.structs import asdict
 
 from companion.geodesy import FloatArray
 from companion.mission import phases
 from companion.mission.events import FenceChanged
-from companion.mission.journal import plain, zone_of
+from companion.mission.journal import filled, plain, zone_of
 from companion.mission.mission import Mission
 from companion.mission.phases import IN_AIR, OnPath, Phase, Reason
-from companion.mission.state import Flight, Orders, State, Targets, Way
+from companion.mission.state import Flight, Goal, State, Targets, Way
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Leg, Reference
 from companion.planner.request import FlownSegment, Refusal, control_points
@@ -33,10 +34,6 @@ DECODE_ERRORS = (ArithmeticError, LookupError, RecursionError, TypeError, ValueE
 PERIOD_S, LONGEST_S = 1.0, 10.0
 LOST: Final = {"lost": "taking over without memory of the flight", "map_lost": "scanning anew"}
 """What could not be read, by its key in a checkpoint, and what follows."""
-_AS_THEY_ARE: Final = ("airborne", "taken", "armed_by_us", "targets_ne_m")
-"""Of the state, what is saved under its own name; and of the flight:"""
-_OF_FLIGHT: Final = ("target", "plan_id", "legs_flown", "stops", "departures", "route_ne_m")
-_OF_LEG: Final = ("number", "plan_id", "speed_m_s", "p_prog", "reaches_target", "through")
 
 
 @final
@@ -55,19 +52,14 @@ class _Leg(Struct):
     @staticmethod
     def of(leg: Leg) -> "_Leg":
         """What is saved of a leg."""
-        return _Leg(
-            **{name: getattr(leg, name) for name in _OF_LEG},
-            rules=leg.rules.digest,
-            control_nea_m=leg.subpath.control_nea_m,
-        )
+        return filled(_Leg, leg, leg.subpath, rules=leg.rules.digest)
 
     def leg(self, task: Task) -> Leg:
         """The leg; task: the one in force: its digest tells whether it was proven under that."""
-        return Leg(
-            **{name: getattr(self, name) for name in _OF_LEG},
-            rules=task if self.rules == task.digest else task.unruled(),
-            subpath=Subpath(control_nea_m=self.control_nea_m),
-        )
+        values = asdict(self)
+        values["subpath"] = Subpath(control_nea_m=values.pop("control_nea_m"))
+        values["rules"] = task if self.rules == task.digest else task.unruled()
+        return Leg(**values)
 
 
 @final
@@ -81,12 +73,11 @@ class Saved(Struct, kw_only=True):
     taken: bool
     armed_by_us: bool
     targets_ne_m: Targets
-    fence: dict[str, Any] | None
-    """A `FenceChanged`."""
+    fence: FenceChanged | None
     standing: str | None
-    """The active order."""
+    """What was ordered last: a pause, or its goal (`Goal`)."""
     set_aside: str | None
-    """The order suspended by a pause."""
+    """Its goal, in a pause."""
     target: int
     plan_id: int
     legs_flown: int
@@ -106,27 +97,25 @@ class Saved(Struct, kw_only=True):
 
 def values_of(state: State) -> Values:
     """The state as plain values (JSON)."""
-    flight, path, orders = state.flight, state.path, state.orders
-    saved = Saved(
+    flight, path = state.flight, state.path
+    saved = filled(
+        Saved,
+        state,
+        flight,
         t_s=state.now_s,
         phase=state.phase.name,
         sank=state.phase is Phase.LANDING and state.stage.obeyed,
-        fence=None if state.fence is None else msgspec.to_builtins(state.fence),
-        standing=_name(orders.active),
-        set_aside=_name(orders.suspended),
+        standing=Reason.PAUSED.name if state.paused else _name(state.goal.value),
+        set_aside=_name(state.goal.value) if state.paused else None,
         flown=[
             (each.control_nea_m, each.from_m, each.until_m, each.speed_m_s) for each in flight.flown
         ],
         refusal=_name(flight.refusal),
         fallen_back=_name(flight.fallen_back),
-        returning=flight.returning,
-        homeward=flight.homeward,
         leg=None if path is None else _Leg.of(path.leg),
         next_leg=None if path is None or path.next_leg is None else _Leg.of(path.next_leg),
         joined_m=0.0 if path is None else path.joined_m,
         back=[_Leg.of(leg) for leg in flight.back],
-        **{name: getattr(state, name) for name in _AS_THEY_ARE},
-        **{name: getattr(flight, name) for name in _OF_FLIGHT},
     )
     values: Values = msgspec.to_builtins(saved, enc_hook=plain)
     return values
@@ -185,16 +174,27 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
     The vehicle's state is not part of it: the vehicle is prepared again.
     """
     json.dumps(values, allow_nan=False)  # ValueError: a number that is not finite
+    if (fence := values.get("fence")) is not None:
+        values = {**values, "fence": {"t_s": 0.0, **fence}}  # older ones have no time
     saved = msgspec.convert(values, Saved, dec_hook=_decoded)
-    state = State.of(mission, known)
-    if saved.fence is not None:
-        told = {"t_s": 0.0, **saved.fence}
-        state.take_fence(mission.task, msgspec.convert(told, FenceChanged, dec_hook=_decoded))
+    paused = saved.standing == Reason.PAUSED.name
+    state = filled(
+        State,
+        saved,
+        now_s=saved.t_s,
+        goal=Goal(_reason(saved.set_aside if paused else saved.standing)),
+        paused=paused,
+        task=mission.task,
+        flight=Flight(known=known),
+    )
+    state.take_fence(mission.task, saved.fence)
     task, leg, next_leg = state.task, saved.leg, saved.next_leg
     path = leg and OnPath(
         leg=leg.leg(task), next_leg=next_leg and next_leg.leg(task), joined_m=saved.joined_m
     )
-    state.flight = Flight(
+    state.flight = filled(
+        Flight,
+        saved,
         known=known,
         flown=tuple(
             FlownSegment(control_nea_m=control, from_m=low_m, until_m=high_m, speed_m_s=speed_m_s)
@@ -204,19 +204,11 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
         fallen_back=_reason(saved.fallen_back),
         way=Way.BACK if saved.returning else Way.HOME if saved.homeward else Way.OUT,
         back=tuple(each.leg(task) for each in saved.back) if saved.returning else (),
-        **{name: getattr(saved, name) for name in _OF_FLIGHT},
     )
+    landing = saved.phase == Phase.LANDING.name
     state.stage = phases.Preparing(
-        phase=Phase.WAITING,
-        since_s=saved.t_s,
-        path=path,
-        landing=saved.phase == Phase.LANDING.name,
-        sank=saved.sank,
+        phase=Phase.WAITING, since_s=saved.t_s, path=path, landing=landing, sank=saved.sank
     )
-    state.now_s = saved.t_s
-    state.orders = Orders(_reason(saved.standing), _reason(saved.set_aside))
-    for name in _AS_THEY_ARE:
-        setattr(state, name, getattr(saved, name))
     if not 0 <= saved.target < max(len(state.targets_ne_m), 1):
         raise ValueError(f"target {saved.target} of {len(state.targets_ne_m)}")
     return state
@@ -232,8 +224,9 @@ def _reason(name: str | None) -> Reason | None:
 
 
 _persisted: Final = attrgetter(
-    *(*_AS_THEY_ARE, "fence", "orders", "phase"),
-    *(f"flight.{name}" for name in (*_OF_FLIGHT, "flown", "refusal", "fallen_back", "way", "back")),
+    *("phase", "goal", "paused", "flight.way"),
+    *(name for name in Saved.__struct_fields__ if name in State.__struct_fields__),
+    *(f"flight.{name}" for name in Saved.__struct_fields__ if name in Flight.__struct_fields__),
 )
 """All fields of a state in a checkpoint, except the time and the legs."""
 

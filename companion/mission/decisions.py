@@ -12,8 +12,8 @@ from companion.mission import phases
 from companion.mission.events import Command, Position, StatusText
 from companion.mission.health import astray_m, may_differ_m
 from companion.mission.mission import Mission
-from companion.mission.phases import Reason, Trigger
-from companion.mission.state import Orders, State
+from companion.mission.phases import TAKEN, Reason, Trigger
+from companion.mission.state import State, Way
 from companion.path.certificate import bounds_text
 from companion.planner.request import Refusal
 
@@ -141,10 +141,10 @@ def waits_for_fence(state: State, context: Context) -> bool:
     since_s, flight = state.fence_unread_s, state.flight
     if since_s is None or context.mission.goes_on_while_reading:
         return False
-    goes_back = flight.returning or flight.homeward or state.orders.active is Reason.RETURN_ASKED
+    goes_back = flight.way is not Way.OUT or state.order is Reason.RETURN_ASKED
     if goes_back and fence_is_given_up(state):
         return False
-    low = Reason.BATTERY_LOW in (state.reason, state.orders.active, flight.fallen_back)
+    low = Reason.BATTERY_LOW in (state.reason, state.order, flight.fallen_back)
     return not low and state.now_s - since_s > _FENCE_READ_S
 
 
@@ -156,8 +156,7 @@ def fence_is_given_up(state: State) -> bool:
 
 def abort_landing(state: State, turn: Turn) -> None:
     """It has left the land mode: not landed again without an order, for which it waits."""
-    ordered = state.flight.fallen_back is Reason.LAND_ASKED  # else by the mission, or its fallback
-    state.orders = Orders(Reason.PAUSED, Reason.LAND_ASKED if ordered else None)
+    state.paused = True
     turn.warn(LANDING_ABORTED)
 
 
@@ -174,9 +173,10 @@ def seen_cause(state: State) -> Reason | None:
 def hold_for(state: State, reason: Reason) -> None:
     """Held for this reason from now on; what is known of who has it is kept as long as he has."""
     held = state.stage
-    if not isinstance(held, phases.Holding) or held.how is not reason.hold:
-        why = seen_cause(state) if reason is Reason.FAILSAFE else None
-        held = phases.Holding(how=reason.hold, why=why)
+    if not (isinstance(held, phases.Holding) and held.why in TAKEN and reason in TAKEN):
+        seen = seen_cause(state) if reason is Reason.FAILSAFE else None
+        held = phases.Holding(why=reason, seen=seen)
+    held.why = reason
     held.since_s, held.asked_at_s, held.asks = state.now_s, -1e9, 0
     held.obeyed, held.backtrack = False, None
     state.stage = held

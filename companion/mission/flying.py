@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from companion.mission import events, following, phases, way_back
-from companion.mission.battery import battery_runs_low, give_up_for_battery, warn_of_battery
+from companion.mission.battery import gives_up_for_battery, warn_of_battery
 from companion.mission.decisions import AT_M, Context, Turn, in_words, waits_for_fence
 from companion.mission.events import Event, Landed, Mode, Position, Vector
 from companion.mission.following import come_to_rest, rest_at_end, send_hold
@@ -46,8 +46,7 @@ def on_path(state: State, stage: phases.Led, event: Event, turn: Turn) -> None:
         return
     # perhaps: it has to last a while
     is_short = stage.phase is Phase.FLYING and state.vehicle.battery_short_at_s is not None
-    if is_short and battery_runs_low(state):
-        give_up_for_battery(state)
+    if is_short and gives_up_for_battery(state):
         following.stop(state, Reason.BATTERY_LOW, turn)
     stops = stage.path is not None and stage.path.stop is not None
     unread = state.fence_unread_s is not None and not stops
@@ -104,9 +103,7 @@ def _lead(state: State, stage: phases.Led, path: OnPath, event: Position, turn: 
         way_back.take_next(state, path)
     if state.now_s - stage.progress_at_s > _STUCK_S:
         return turn.give_up(Reason.NOT_FOLLOWING)
-    unechoed_s = state.now_s - stage.echoed_at_s
-    is_on_path = following.is_on_path(state, path, event, unechoed_s)
-    departs = None if is_on_path else _leaves_path(state, path, event, unechoed_s, turn)
+    departs = following.departs(state, stage, path, event, turn)
     if departs is not None:
         return _depart(state, departs, turn)
     following.send_setpoint(state, path, event, turn)
@@ -120,20 +117,6 @@ def _lead(state: State, stage: phases.Led, path: OnPath, event: Position, turn: 
     if stage.search is None and path.leg.wants_successor(path.reference, speed):
         at_m = path.reference.length_m
         start_scan(stage, path.leg.subpath.pose(at_m).point_nea_m, turn)
-
-
-def _leaves_path(
-    state: State, path: OnPath, event: Position, unechoed_s: float, turn: Turn
-) -> Reason | None:
-    """Look whether the vehicle is on its path and follows; a reason: the leg cannot go on."""
-    if following.is_not_taken(state, unechoed_s):
-        return Reason.NOT_TAKEN
-    was_outside = path.outside_m
-    departs = following.left_path(state, path, event, turn)
-    if departs is None and path.outside_m and not was_outside:
-        text = f"beside its path, {path.outside_m:.2g} m more than its tracking error"
-        turn.say(text, "path", warning=path.stop is not None)
-    return departs
 
 
 def _circle(state: State, stage: phases.Led, event: Position, turn: Turn) -> None:

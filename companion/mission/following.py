@@ -25,6 +25,8 @@ _FARTHEST = 1.0  # tubes beyond the first: there it is told to hold at once, hal
 _BACK_S = 3.0  # after it has come to rest: for the vehicle to be back on its path
 _ECHO_S = 1.5  # an older echo says nothing
 
+_INSIDE = 0.0, 0.0, 0.0
+
 _ROUNDING_M = 1e-6
 _SENT_LATELY_S = 1.0
 _AT_TARGET_M = 1.0  # nearer to it, the direction to it is that of an error
@@ -55,10 +57,9 @@ def advance_reference(state: State, stage: phases.Led, path: OnPath, event: Posi
     slows_to_m_s, leaves_at_m = math.inf, math.inf
     if path.next_leg is not None:
         leaves_at_m = leg.successor_at_m
+        room_m = leaves_at_m - before.length_m
+        slows_to_m_s = procedure.entering_m_s(path.next_leg, leg.motion, room_m)
     if vehicle.traits.hovers:
-        if path.next_leg is not None:
-            room_m = leaves_at_m - before.length_m
-            slows_to_m_s = procedure.entering_m_s(path.next_leg, leg.motion, room_m)
         path.reference = procedure.advance(
             before,
             leg,
@@ -79,25 +80,6 @@ def advance_reference(state: State, stage: phases.Led, path: OnPath, event: Posi
         switch_to_next_leg(state, path)
 
 
-def is_on_path(state: State, path: OnPath, event: Position, unechoed_s: float = 0.0) -> bool:
-    """Whether it follows, and nothing of `outside_m` can be the case: what is looked at first.
-
-    The path leaves its tangent at the reference point by along^2 / 2 R at most where it bends no
-    more than the turn radius R; twice that is allowed for, as it may bend up and down as well.
-    unechoed_s: how long the reported target has disagreed with the setpoints.
-    """
-    vehicle, leg = state.vehicle, path.leg
-    echoes = vehicle.echo is None or unechoed_s <= _NOT_TAKEN_S
-    if path.outside_m or not (echoes and vehicle.traits.hovers):
-        return False
-    pose, (north, east, up) = leg.subpath.pose(path.reference.length_m), event.position_nea_m
-    off = np.array((north, east, up)) - pose.position_nea_m
-    along_m, error_m = float(off @ pose.tangent_nea), state.task.envelope.tube_m
-    across_m = math.sqrt(max(float(off @ off) - along_m**2, 0.0))
-    bends_m = along_m**2 / leg.task.limits.turn_radius_m
-    return -2.0 * error_m <= along_m <= error_m and across_m + bends_m <= error_m
-
-
 def outside_m(state: State, path: OnPath, event: Position) -> tuple[float, float, float]:
     """How far the vehicle is outside of what was proven: across, ahead and far along; 0: inside.
 
@@ -106,41 +88,55 @@ def outside_m(state: State, path: OnPath, event: Position) -> tuple[float, float
     each point of the path is proven.  Ahead: of where it was told to be.  Far along: farther ahead,
     or behind, than the reference point waits for it.
     """
-    leg, reference, here = path.leg, path.reference, np.asarray(event.position_nea_m)
-    if not (state.task.settings.profile.verified or state.flight.returning):
-        return 0.0, 0.0, 0.0
-    motion = leg.motion
+    leg, reference, motion = path.leg, path.reference, path.leg.motion
     allowed_m = motion.tube_m
+    if not (state.task.settings.profile.verified or state.flight.returning):
+        return _INSIDE
+    pose = leg.subpath.pose(reference.length_m)
     if not state.vehicle.traits.hovers:
-        centre = leg.subpath.pose(reference.length_m).point_nea_m
-        off_m = procedure.off_disc_m(centre, event.position_nea_m, motion.loiter_m)
+        off_m = procedure.off_disc_m(pose.point_nea_m, event.position_nea_m, motion.loiter_m)
         return max(off_m - allowed_m, 0.0), 0.0, 0.0
+    here = np.asarray(event.position_nea_m)
+    off = here - pose.position_nea_m
+    ahead_m = float(off @ pose.tangent_nea)
+    aside_m = math.sqrt(max(float(off @ off) - ahead_m**2, 0.0))
+    # the path leaves its tangent by along^2 / 2 R at most where it bends no more than the turn
+    # radius R; twice that is allowed for, as it may bend up and down as well
+    bends_m = ahead_m**2 / leg.task.limits.turn_radius_m
+    if -2.0 * allowed_m <= ahead_m <= allowed_m and aside_m + bends_m <= allowed_m:
+        return _INSIDE  # as it mostly is
     if path.offset is not None:
         allowed_m += float(np.linalg.norm(path.offset.position_nea_m))
-    ahead = procedure.ahead_m(reference, leg, here)
     past_m = min(beyond_m(motion), motion.tube_m)
     across_m = procedure.off_path_m(reference, leg, here, past_m) - allowed_m
-    before_m = ahead - lead_m(state) - allowed_m
-    far_m = abs(ahead) - motion.lag_m - allowed_m
+    before_m = ahead_m - lead_m(state) - allowed_m
+    far_m = abs(ahead_m) - motion.lag_m - allowed_m
     return max(across_m, 0.0), max(before_m, 0.0), max(far_m, 0.0)
 
 
-def left_path(state: State, path: OnPath, event: Position, turn: Turn) -> Reason | None:
-    """What follows if the vehicle has left its path: a note, a stop on the path, or a hold.
+def departs(
+    state: State, stage: phases.Led, path: OnPath, event: Position, turn: Turn
+) -> Reason | None:
+    """Whether it follows; a reason: it is told to hold at once, else there is a note, or a stop.
 
+    It does not if the target that it reports has disagreed with the setpoints for too long.
     Outside of the tube it keeps less than the safety distance.  A copter is stopped on its path,
     and the way on is planned anew from there (design 5.2); if it slows down for a stop already, or
-    is within the tube, and only ahead of where it was told to be, it is noted.  Reason: it is told
-    to hold at once, as it is farther outside than the safety distance allows for, does not come
-    back, or is a plane.
+    is within the tube, and only ahead of where it was told to be, it is noted.  It is to hold if it
+    is farther outside than the safety distance allows for, does not come back, or is a plane.
     """
     now_s, limits, motion = state.now_s, path.leg.task.limits, path.leg.motion
+    echo = state.vehicle.echo
+    hears = echo is not None and now_s - echo.time_s < _ECHO_S
+    if hears and now_s - stage.echoed_at_s > _NOT_TAKEN_S:
+        return Reason.NOT_TAKEN
     across_m, before_m, far_m = outside_m(state, path, event)
     outside = max(across_m, before_m, far_m)
     if outside == 0.0:
         path.outside_since_s, path.outside_m = math.inf, 0.0
         return None
-    if math.isinf(path.outside_since_s):
+    is_news = math.isinf(path.outside_since_s)
+    if is_news:
         path.outside_since_s, path.outside_m = now_s, outside
     most_m = min(_FARTHEST * motion.tube_m, 0.5 * state.task.settings.safety_distance_m)
     stops_s = limits.speed_m_s / limits.acceleration_m_s2
@@ -151,14 +147,10 @@ def left_path(state: State, path: OnPath, event: Position, turn: Turn) -> Reason
     ends = path.next_leg is None and left_m <= slowing_m(motion, motion.speed_m_s)
     if across_m > 0.0 and path.stop is None and not ends:
         stop(state, Reason.BESIDE_PATH, turn)
+    if is_news:
+        text = f"beside its path, {outside:.2g} m more than its tracking error"
+        turn.say(text, "path", warning=path.stop is not None)
     return None
-
-
-def is_not_taken(state: State, unechoed_s: float) -> bool:
-    """Whether the reported target has disagreed with the setpoints for too long: unechoed_s."""
-    echo = state.vehicle.echo
-    is_fresh = echo is not None and state.now_s - echo.time_s < _ECHO_S
-    return is_fresh and unechoed_s > _NOT_TAKEN_S
 
 
 def take_echo(state: State, echo: Echo) -> None:

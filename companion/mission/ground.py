@@ -82,7 +82,7 @@ def _refuses(state: State, event: events.Prepared, turn: Turn) -> None:
     """The vehicle must not fly as it is set up."""
     if _is_flying(state):
         turn.warn(event.refusal)
-    elif state.unready:
+    elif state.unready or state.phase is Phase.READY:
         state.prepared -= {event.item}
         _unready(state, event.refusal, turn)
     else:
@@ -115,8 +115,7 @@ def ready(state: State, _: phases.Stage, event: Event, turn: Turn) -> None:
     elif state.vehicle.armed:
         turn.give_up(Reason.ARMED_ALREADY)
     elif isinstance(event, events.Prepared) and event.refusal:
-        state.prepared -= {event.item}
-        _unready(state, event.refusal, turn)
+        _refuses(state, event, turn)
     elif isinstance(event, LinkLost):
         _unready(state, Reason.LINK_LOST.text, turn)
     elif why := _why_unready(state, turn.context):
@@ -233,7 +232,7 @@ def _in_flight(state: State, stage: phases.Preparing, turn: Turn) -> None:
         _, at_m = following.nearest(path.leg, here)
         path.reference = Reference(length_m=max(at_m, path.joined_m))
     turn.to(Trigger.IN_FLIGHT)
-    if state.orders.active is not None or state.taken or state.flight.returning:
+    if state.order is not None or state.taken or state.flight.returning:
         led = mode in ours and not state.taken
         state.because(Reason.TAKING_OVER if led else takeover_reason(state))
         return way_back.leave_path(state)

@@ -8,7 +8,7 @@ come up, it is null.
 
 import math
 from collections.abc import Iterator
-from typing import Annotated, Any, Final, Literal, final
+from typing import Annotated, Any, Final, Literal, TypeVar, final
 
 import msgspec
 import numpy as np
@@ -27,6 +27,7 @@ SCHEMA: Final = "companion-journal"
 VERSION: Final = 3
 """The only one that is read; 1 and 2 were written by companions before 0.2.0."""
 
+Value = TypeVar("Value", bound=Struct)
 Told = dict[str, Any]
 """An entry as plain values."""
 NorthEast = tuple[float, float]
@@ -53,20 +54,8 @@ class Header(Struct, frozen=True, kw_only=True):
     """How often it had been started again; left out of the first header."""
 
 
-# Events and commands that are entries as they are, by their names here
-End = events.End
-Fence = events.FenceChanged
-LinkLost = events.LinkLost
-PartDied = events.PlannerDied
-PlanLate = events.PlanLate
-Prepared = events.Prepared
-StopAsked = events.StopAsked
-Targets = events.TargetsChanged
-VehicleRebooted = events.Rebooted
-ModeAsked, ArmAsked, DisarmAsked = events.SetMode, events.Arm, events.Disarm
-TakeOffAsked, Said = events.TakeOff, events.StatusText
 UNTOLD: Final = ("misread", "remedy", "at_nea_m", "altitude_amsl_m", "about")
-"""Their fields that are not written."""
+"""Fields of events and commands that are entries as they are: these are not written."""
 
 
 # --- the mission
@@ -373,11 +362,16 @@ def of_request(request: PlanRequest, due_s: float) -> Told:
     return _entry(PlanAsked, request, start, due_s=due_s, start_nea_m=start_nea_m)
 
 
-def _entry(kind: type[Entry], *sources: object, **others: Any) -> Told:
-    """An entry without its time: fields are others, or of that name in one of the sources."""
+def filled(kind: type[Value], *sources: object, **others: Any) -> Value:
+    """A value of that kind: its fields are others, or of that name in one of the sources."""
     names = kind.__struct_fields__
     values = {name: getattr(of, name) for of in sources for name in names if hasattr(of, name)}
-    return _told(kind(**{"time_s": 0.0, **values, **others}))
+    return kind(**{**values, **others})
+
+
+def _entry(kind: type[Entry], *sources: object, **others: Any) -> Told:
+    """An entry without its time, as `filled`."""
+    return _told(filled(kind, *sources, **{"time_s": 0.0, **others}))
 
 
 def _told(entry: Entry) -> Told:

@@ -12,11 +12,22 @@ from typing import Any, Final
 
 from companion.mission import changes, events, flying, following, ground, phases, stopped, way_back
 from companion.mission.battery import take_battery
-from companion.mission.decisions import Context, Turn, hold_for, longest_silence_s, reason_text
+from companion.mission.decisions import Context, Turn, longest_silence_s, reason_text
 from companion.mission.events import Command, End, Event, Landed, Mode, Outcome, SetMode
 from companion.mission.health import distrust, take_distrust, take_position
-from companion.mission.phases import IN_AIR, ON_GROUND, OVER, Hold, Phase, Reason, Stage, Trigger
-from companion.mission.state import HEARTBEAT_S, Orders, State
+from companion.mission.phases import (
+    IN_AIR,
+    ON_GROUND,
+    OVER,
+    TAKEN,
+    TAKES_OVER,
+    By,
+    Phase,
+    Reason,
+    Stage,
+    Trigger,
+)
+from companion.mission.state import HEARTBEAT_S, State
 from companion.mission.tables import fall_back, fault_of, parting
 from companion.mission.vehicle_traits import UNKNOWN
 
@@ -79,7 +90,9 @@ def _break_off(state: State, reason: Reason, turn: Turn) -> None:
     """What follows from a row of `tables.FAULTS`."""
     if state.phase is Phase.HOLDING:
         stopped.broken_off(state, reason, turn)
-    elif state.phase is Phase.TAKING_OFF and state.vehicle.landed is Landed.ON_GROUND:
+    elif state.phase is Phase.HANDING_OVER or (
+        state.phase is Phase.TAKING_OFF and state.vehicle.landed is Landed.ON_GROUND
+    ):
         turn.give_up(reason)
     else:
         if state.phase is not Phase.TAKING_OFF:
@@ -207,7 +220,7 @@ def _enter(state: State, trigger: Trigger, turn: Turn) -> None:
             turn.do(*parting(state, stopped=trigger is Trigger.STOP))
         turn.do(_end_of(state, trigger))
     if phase is Phase.HOLDING:
-        hold_for(state, state.reason or Reason.NO_PLAN)
+        turn.hold(state.reason or Reason.NO_PLAN)
     else:
         state.stage = turn.stage or PHASES[phase][0](phase=phase)
     state.stage.since_s = state.stage.progress_at_s = state.now_s
@@ -231,7 +244,8 @@ def _enter(state: State, trigger: Trigger, turn: Turn) -> None:
         case Phase.FLYING | Phase.LANDING | Phase.RETURNING:
             _set_out(state, turn)
         case Phase.HOLDING:
-            _hold(state, turn)
+            assert isinstance(state.stage, phases.Holding)
+            _hold(state, state.stage, turn)
         case Phase.ARRIVED:
             stopped.say_reached(state, turn)
         case _:
@@ -243,9 +257,7 @@ def _set_out(state: State, turn: Turn) -> None:
     state.reason, state.taken = None, False
     if isinstance(state.stage, phases.Led):
         state.stage.echoed_at_s = state.now_s
-    if state.phase is not Phase.FLYING:
-        state.orders = Orders()
-    elif not state.flight.homeward:  # to a target again
+    if state.phase is Phase.FLYING and not state.flight.homeward:  # to a target again
         state.flight.fallen_back = None
     if state.phase is Phase.RETURNING:
         turn.say("returning", "phase")
@@ -253,21 +265,15 @@ def _set_out(state: State, turn: Turn) -> None:
         turn.do(events.SetSpeed(speed_m_s=state.task.limits.speed_m_s))
 
 
-def _hold(state: State, turn: Turn) -> None:
-    """Hold for the reason that there is."""
-    reason = state.reason or Reason.NO_PLAN
-    turn.hold(reason)
-    match reason.hold:
-        case Hold.PAUSED | Hold.RETURN | Hold.LAND:
-            state.orders = Orders(reason, state.orders.suspended)
-        case Hold.TAKEN_OVER:
-            state.taken = True
-        case Hold.MODE | Hold.STREAM_LOST | Hold.GROUNDED | Hold.SILENT:
-            state.flight.troubles += 1
-        case _:
-            pass
-    if reason.hold is Hold.MODE:
-        state.stage.asked_at_s = state.now_s
+def _hold(state: State, held: phases.Holding, turn: Turn) -> None:
+    """What comes with a hold, for the reason that there is."""
+    reason = held.why
+    if reason in TAKEN:
+        state.taken = True
+    elif reason.by is not By.SETPOINTS and reason not in TAKES_OVER:
+        state.flight.troubles += 1
+    if reason.asks_to_hold:
+        held.asked_at_s = state.now_s
         broken_off = reason is Reason.BROKEN_OFF
         turn.do(*(parting(state) if broken_off else [SetMode(mode=Mode.HOLD)]))
 

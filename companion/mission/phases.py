@@ -35,22 +35,16 @@ class Phase(enum.Enum):
 
 
 ON_GROUND = (Phase.WAITING, Phase.PREPARING, Phase.READY, Phase.ARMING)
-IN_AIR = (
-    Phase.TAKING_OFF,
-    Phase.FLYING,
-    Phase.HOLDING,
-    Phase.ARRIVED,
-    Phase.RETURNING,
-    Phase.LANDING,
-    Phase.HANDING_OVER,
-)
+GOING_UP = (Phase.ARMING, Phase.TAKING_OFF)
 ON_PATH = (Phase.FLYING, Phase.RETURNING)
+LED = (*ON_PATH, Phase.ARRIVED)
+IN_AIR = (Phase.TAKING_OFF, *LED, Phase.HOLDING, Phase.LANDING, Phase.HANDING_OVER)
 OVER = (Phase.DONE, Phase.FAULTED)
-_LED = tuple(phase for phase in IN_AIR if phase not in (Phase.HOLDING, Phase.HANDING_OVER))
+_FOLLOWS = (Phase.TAKING_OFF, *LED, Phase.LANDING)
 _ALL = (*ON_GROUND, *IN_AIR, Phase.SHADOW)
 _HELD = (Phase.ARRIVED, Phase.HOLDING, Phase.RETURNING)
 _LANDS_FROM = (Phase.PREPARING, Phase.TAKING_OFF, Phase.FLYING, *_HELD, Phase.HANDING_OVER)
-_HANDS_OVER = (Phase.PREPARING, *_LED, Phase.HOLDING)
+_HANDS_OVER = (Phase.PREPARING, *_FOLLOWS, Phase.HOLDING)
 
 
 class Trigger(enum.Enum):
@@ -82,7 +76,7 @@ class Trigger(enum.Enum):
     HAND_OVER = ("no way back of ours is left: its autopilot's", _HANDS_OVER, Phase.HANDING_OVER)
     HANDED_ON = ("its autopilot returns by itself", Phase.HANDING_OVER, Phase.DONE)
     LANDED = ("on the ground, disarmed", (Phase.PREPARING, Phase.LANDING), Phase.DONE)
-    FAULT = ("it cannot go on; the reason says why", (Phase.ARMING, *_LED), Phase.HOLDING)
+    FAULT = ("it cannot go on; the reason says why", (Phase.ARMING, *_FOLLOWS), Phase.HOLDING)
     RESUME = ("the reason for holding is gone, or another try is due", _HELD, Phase.FLYING)
     PREPARE_AGAIN = ("heard again after a silence, or rebooted", _ALL[1:], Phase.PREPARING)
     GIVE_UP = ("no way to go on: somebody else brings it down", _ALL, Phase.DONE)
@@ -98,25 +92,12 @@ class Trigger(enum.Enum):
         """The phase that it begins."""
 
 
-class Hold(enum.Enum):
-    """How a vehicle is held; each reason has one of them."""
+class By(enum.Enum):
+    """Who holds a vehicle; each reason has one of them."""
 
-    REPLAN = "by setpoints; planning is retried after a pause, a limited number of times"
-    PAUSED = "by setpoints, until another order or a low battery"
-    RETURN = "by setpoints, until the backtrack is proven"
-    LAND = "by setpoints until it is at rest, then it lands"
-    MODE = "the autopilot's hold mode, until it is at rest and its position was valid for a while"
-    TAKE_OVER = "in its current mode if that stops it; then like mode"
-    STREAM_LOST = (
-        "the autopilot holds for lack of setpoints: a new stream returns it to guided mode"
-    )
-    TAKEN_OVER = "not by us: taken over by a pilot or the autopilot, until handed back"
-    GROUNDED = "not by us: reported disarmed, or on the ground"
-    SILENT = "not by us: the vehicle is silent"
-
-
-ON_SETPOINTS = (Hold.REPLAN, Hold.PAUSED, Hold.RETURN, Hold.LAND)
-"""Holds with a valid position."""
+    SETPOINTS = "we do, by a stream of one setpoint: its position is valid"
+    MODE = "its autopilot does, until it is at rest and its position was valid for a while"
+    NOBODY = "nobody of ours: a pilot or its autopilot has it, it is silent, or on the ground"
 
 
 class Reason(enum.Enum):
@@ -138,9 +119,9 @@ class Reason(enum.Enum):
     OUTSIDE = ("the vehicle stands off the map or at a zone's edge", "Check origin and area.")
     HOME_TOO_HIGH = ("home lies above the floor of the band", "Raise altitude.floor_amsl_m.")
     NO_TAKE_OFF = ("the vehicle did not reach the floor of the band", "Check its climb rate.")
-    TAKING_OVER = ("taking over", "Wait: it stops first.", Hold.TAKE_OVER, False)
-    TAKEN_OFF = ("taken off", "Wait: guided mode comes next.", Hold.TAKE_OVER, False)
-    BROKEN_OFF = ("the take-off is broken off", "Wait: it stops first.", Hold.MODE, False)
+    TAKING_OVER = ("taking over", "Wait: it stops first.", By.MODE, False)
+    TAKEN_OFF = ("taken off", "Wait: guided mode comes next.", By.MODE, False)
+    BROKEN_OFF = ("the take-off is broken off", "Wait: it stops first.", By.MODE, False)
     POSITION_STALE = ("no position for 0.5 s", "Wait for the vehicle's position to come back.")
     POSITION_FROZEN = ("the position stands still while the speed does not", "Check the GPS.")
     POSITION_JUMPED = ("the position jumped further than the vehicle can fly", "Check the GPS.")
@@ -154,7 +135,7 @@ class Reason(enum.Enum):
         "the position is less accurate than the mission allows",
         "Wait, or raise vehicle.navigation_error_m.",
     )
-    LINK_LOST = ("the vehicle fell silent", "Check the link and the vehicle.", Hold.SILENT)
+    LINK_LOST = ("the vehicle fell silent", "Check the link and the vehicle.", By.NOBODY)
     NOT_ALONE = (
         "another companion with our ids is on the link",
         "End one of the two; each vehicle has one, by its own system id.",
@@ -164,7 +145,7 @@ class Reason(enum.Enum):
     STREAM_LOST = (
         "the autopilot has lost the setpoints",
         "Check the link; it goes on by itself.",
-        Hold.STREAM_LOST,
+        By.MODE,
     )
     HEALTH_SILENT = (
         "no word of how good the position is",
@@ -173,24 +154,24 @@ class Reason(enum.Enum):
     MODE_TAKEN = (
         "somebody else flies the vehicle",
         "Give it back: guided mode, or the command MISSION_START to the companion.",
-        Hold.TAKEN_OVER,
+        By.NOBODY,
     )
     FAILSAFE = (
         "the autopilot's own failsafe took the vehicle",
         "See its messages; when that is over, give it back: guided mode, or MISSION_START.",
-        Hold.TAKEN_OVER,
+        By.NOBODY,
     )
     FENCE_BREACHED = (
         "the vehicle's own fence stopped it",
         "Change its fence, or give it back (guided mode, or MISSION_START) to be led out of it.",
-        Hold.TAKEN_OVER,
+        By.NOBODY,
     )
-    DISARMED = ("the vehicle disarmed", "See its messages for the reason.", Hold.GROUNDED)
-    GROUNDED = ("the vehicle is on the ground", "Look at it before it flies again.", Hold.GROUNDED)
+    DISARMED = ("the vehicle disarmed", "See its messages for the reason.", By.NOBODY)
+    GROUNDED = ("the vehicle is on the ground", "Look at it before it flies again.", By.NOBODY)
     BESIDE_PATH = (
         "the vehicle was beside its path",
         "Raise vehicle.tracking_error_m or fly slower.",
-        Hold.REPLAN,
+        By.SETPOINTS,
     )
     OFF_PATH = ("the vehicle left its path", "Raise vehicle.tracking_error_m or fly slower.")
     NOT_FOLLOWING = ("the vehicle does not follow its setpoints", "Check that it can fly them.")
@@ -199,35 +180,40 @@ class Reason(enum.Enum):
     SENSOR_SILENT = (
         "the sensor of near things is silent",
         "Check it, its driver and its link.",
-        Hold.REPLAN,
+        By.SETPOINTS,
     )
     GROUND_NEARER = (
         "the ground is nearer than the map says",
         "Check map, altitude datum and rangefinder.",
-        Hold.REPLAN,
+        By.SETPOINTS,
     )
-    RADAR_SILENT = ("the terrain radar did not answer", "Check the radar.", Hold.REPLAN)
-    NO_PLAN = ("no safe subpath was found", "Relax the mission's planner settings.", Hold.REPLAN)
+    RADAR_SILENT = ("the terrain radar did not answer", "Check the radar.", By.SETPOINTS)
+    NO_PLAN = ("no safe subpath was found", "Relax the mission's planner settings.", By.SETPOINTS)
     PLAN_LATE = (
         "the next subpath was not ready in time",
         "Raise planner.planning_time_s, or use a faster computer.",
-        Hold.REPLAN,
+        By.SETPOINTS,
     )
-    NEW_THREAT = ("a new threat lies on the path", "Wait for the way round it.", Hold.REPLAN)
+    NEW_THREAT = ("a new threat lies on the path", "Wait for the way round it.", By.SETPOINTS)
     FENCE_UNREAD = (
         "the vehicle's fence has changed and is being read",
         "Wait until it is read; from_vehicle.goes_on_while_reading lets it fly on.",
-        Hold.REPLAN,
+        By.SETPOINTS,
     )
-    NEW_TARGET = ("a new target was given", "Wait for the way to it.", Hold.REPLAN, False)
-    CONTINUED = ("told to go on while it still stopped", "Wait for the way on.", Hold.REPLAN, False)
-    PAUSED = ("paused by a person", "Send the command to continue.", Hold.PAUSED, False)
-    RETURN_ASKED = ("told to return", "Wait until it has landed.", Hold.RETURN)
-    LAND_ASKED = ("told to land", "Wait until it has landed.", Hold.LAND, False)
+    NEW_TARGET = ("a new target was given", "Wait for the way to it.", By.SETPOINTS, False)
+    CONTINUED = (
+        "told to go on while it still stopped",
+        "Wait for the way on.",
+        By.SETPOINTS,
+        False,
+    )
+    PAUSED = ("paused by a person", "Send the command to continue.", By.SETPOINTS, False)
+    RETURN_ASKED = ("told to return", "Wait until it has landed.", By.SETPOINTS)
+    LAND_ASKED = ("told to land", "Wait until it has landed.", By.SETPOINTS, False)
     BATTERY_LOW = (
         "the battery will not reach the target and the reserve",
         "Bring the vehicle down.",
-        Hold.RETURN,
+        By.SETPOINTS,
     )
     PLANNER_DIED = (
         "a part of the companion stopped with an error",
@@ -235,15 +221,28 @@ class Reason(enum.Enum):
     )
     STOPPED = ("stopped by a person", "Start again to fly on.")
 
-    def __init__(self, text: str, remedy: str, hold: Hold = Hold.MODE, warns: bool = True) -> None:
+    def __init__(self, text: str, remedy: str, by: By = By.MODE, warns: bool = True) -> None:
         self.text = text
         """What happened."""
         self.remedy = remedy
         """What to do about it."""
-        self.hold = hold
-        """How a vehicle is held for this reason."""
+        self.by = by
+        """Who holds a vehicle for this reason."""
         self.warns = warns
         """Whether it is a fault."""
+
+    @property
+    def asks_to_hold(self) -> bool:
+        """Whether a vehicle that is held for it is asked to hold: in its mode it would not."""
+        return self.by is By.MODE and self not in (*TAKES_OVER, Reason.STREAM_LOST)
+
+
+TAKES_OVER = (Reason.TAKING_OVER, Reason.TAKEN_OFF)
+"""Held in the mode that it is in, if that stops it."""
+TAKEN = (Reason.MODE_TAKEN, Reason.FAILSAFE, Reason.FENCE_BREACHED)
+"""A pilot or the autopilot has it, until it is handed back."""
+ORDERED = (Reason.PAUSED, Reason.RETURN_ASKED, Reason.LAND_ASKED, Reason.BATTERY_LOW)
+"""What a person has ordered, or the battery has: it outlasts other holds."""
 
 
 # --- a path, and the search for its next leg
@@ -374,13 +373,13 @@ class Stopped(Stage, kw_only=True):
 
 @final
 class Holding(Stopped, kw_only=True):
-    """For the state's reason."""
+    """Held: why, by whom (`Reason.by`), and what was said to who has it."""
 
     phase: Phase = Phase.HOLDING
-    how: Hold
+    why: Reason
     released_at_s: float = -1e9
     """When the operator last ordered to continue."""
     failsafe_over: bool = False
     """Whether the end of the failsafe that took the vehicle was reported."""
-    why: Reason | None = None
+    seen: Reason | None = None
     """What was seen to be wrong when a failsafe took it."""

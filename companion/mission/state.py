@@ -13,7 +13,7 @@ from msgspec import Struct, field
 from companion.mission.events import Echo, FenceChanged, Item, Landed, Mode, Setpoint, Vector
 from companion.mission.mission import Mission
 from companion.mission.phases import IN_AIR as IN_AIR  # for those who read the state
-from companion.mission.phases import Hold, Holding, Led, OnPath, Preparing, Stage
+from companion.mission.phases import By, Holding, Led, OnPath, Preparing, Stage
 from companion.mission.phases import Phase as Phase
 from companion.mission.phases import Reason as Reason
 from companion.mission.vehicle_traits import UNKNOWN, VehicleTraits
@@ -168,18 +168,17 @@ class Flight(Struct, kw_only=True):
         return self.way is Way.HOME
 
 
-@final
-class Orders(Struct, frozen=True):
-    """Orders of the operator, or of the battery, which outlast other holds."""
+class Goal(enum.Enum):
+    """What the flight is for; it outlasts holds, restarts and reboots.
 
-    active: Reason | None = None
-    """PAUSED, RETURN_ASKED, LAND_ASKED or BATTERY_LOW."""
-    suspended: Reason | None = None
-    """The order suspended by a pause: RETURN_ASKED or LAND_ASKED."""
+    Its value is what the vehicle is held for until it is on its way there.
+    """
 
-    def paused(self) -> "Orders":
-        """With a pause."""
-        return self if self.active is Reason.PAUSED else Orders(Reason.PAUSED, self.active)
+    TARGETS = None
+    HOME = Reason.RETURN_ASKED
+    LAND = Reason.LAND_ASKED
+    DOWN = Reason.BATTERY_LOW
+    """By the mission's fallback."""
 
 
 @final
@@ -200,7 +199,9 @@ class State(Struct, kw_only=True):
     airborne: bool = False
     """Whether the vehicle has been in the air since the start: then it is never armed again."""
     prepared: frozenset[Item] = frozenset()
-    orders: Orders = Orders()
+    goal: Goal = Goal.TARGETS
+    paused: bool = False
+    """Whether a person has paused it, wherever it goes."""
     taken: bool = False
     """Whether a pilot or the autopilot has taken over, and has not handed back yet."""
     reason: Reason | None = None
@@ -228,9 +229,22 @@ class State(Struct, kw_only=True):
         return self.stage.phase
 
     @property
-    def hold(self) -> Hold | None:
-        """How it is held, in the phase `holding`."""
-        return self.stage.how if isinstance(self.stage, Holding) else None
+    def held_for(self) -> Reason | None:
+        """Why it is held; None: it is not."""
+        return self.stage.why if isinstance(self.stage, Holding) else None
+
+    @property
+    def held_by(self) -> By | None:
+        """Who holds it; None: it is not held."""
+        return self.stage.why.by if isinstance(self.stage, Holding) else None
+
+    @property
+    def order(self) -> Reason | None:
+        """What it has to be held for yet, whatever else it is held for: a pause, or its goal."""
+        if self.paused:
+            return Reason.PAUSED
+        goes_back = self.goal is not Goal.LAND and self.flight.way is not Way.OUT
+        return None if goes_back else self.goal.value
 
     @property
     def path(self) -> OnPath | None:

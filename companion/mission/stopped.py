@@ -18,7 +18,7 @@ a dead part of the companion has ended the mission.
 import math
 
 from companion.mission import phases, way_back
-from companion.mission.battery import battery_runs_low, give_up_for_battery, warn_of_battery
+from companion.mission.battery import gives_up_for_battery, warn_of_battery
 from companion.mission.decisions import (
     ASK_AGAIN_S,
     AT_M,
@@ -38,8 +38,8 @@ from companion.mission.flying import looks_at_circle
 from companion.mission.following import come_to_rest, send_hold
 from companion.mission.health import TRUST_S
 from companion.mission.mission import EndAction, Fallback
-from companion.mission.phases import ON_SETPOINTS, Hold, Reason, Trigger
-from companion.mission.state import State
+from companion.mission.phases import ORDERED, TAKEN, TAKES_OVER, By, Reason, Trigger
+from companion.mission.state import State, Way
 from companion.mission.tables import is_ours, parting, stays_down, takeover_reason, wanted_fallback
 from companion.mission.way_back import begins_at_home, home_ne_m, is_above_home
 
@@ -73,48 +73,42 @@ def holding(state: State, held: phases.Holding, event: Event, turn: Turn) -> Non
         return _stay_down(state, turn)
     if isinstance(event, Position) and looks_at_circle(state, turn):
         return
-    match held.how:
-        case Hold.REPLAN | Hold.PAUSED | Hold.RETURN | Hold.LAND:
-            return _hold_on_setpoints(state, held, event, turn)
-        case Hold.STREAM_LOST:
-            return _take_again(state, event, turn)
-        case Hold.TAKEN_OVER | Hold.GROUNDED:
-            return _while_taken_over(state, held, event, turn)
-        case Hold.SILENT:
-            return _heard_again(state, event, turn)
-        case _:
-            return _hold_in_its_own_mode(state, held, event, turn)
+    if held.why is Reason.STREAM_LOST:
+        return _take_again(state, event, turn)
+    if held.why is Reason.LINK_LOST:
+        return _heard_again(state, event, turn)
+    return _HELD_BY[held.why.by](state, held, event, turn)
 
 
 def broken_off(state: State, reason: Reason, turn: Turn) -> None:
     """Held for another reason from now on, or at an end."""
     if reason in (Reason.DISARMED, Reason.GROUNDED):
         return _over(state, reason, turn)
-    if reason is Reason.LINK_LOST or state.hold in ON_SETPOINTS:
+    if reason is Reason.LINK_LOST or state.held_by is By.SETPOINTS:
         come_to_rest(state)
-    if reason.hold is Hold.TAKEN_OVER:
+    if reason in TAKEN:
         return taken(state, turn)
     hold_for(state, reason)
 
 
 def _over(state: State, how: Reason, turn: Turn) -> None:
     """End on the ground, with what was seen to lead to it."""
-    held, reason, taken = state.stage, state.reason, state.hold is Hold.TAKEN_OVER
+    held, reason, taken = state.stage, state.reason, state.held_for in TAKEN
     assert isinstance(held, phases.Holding)
-    if reason is None or not (taken or reason.hold is Hold.MODE):
+    if reason is None or not (taken or reason.asks_to_hold):
         return turn.give_up(how)
     why = None
     if reason is Reason.FAILSAFE and taken:
         late = state.vehicle.bad_at_s > state.stage.since_s
-        why = held.why or (state.vehicle.last_distrust if late else None)
+        why = held.seen or (state.vehicle.last_distrust if late else None)
     remedy = why.remedy if why else how.remedy
     detail = f": {reason.text}" + (f": {why.text}" if why else "")
-    return turn.give_up(how, detail, reason.remedy if reason.hold is Hold.MODE else remedy)
+    return turn.give_up(how, detail, reason.remedy if reason.asks_to_hold else remedy)
 
 
 def _stay_down(state: State, turn: Turn) -> None:
     """End before the flight: out of the take-off mode, and disarmed if we have armed it."""
-    vehicle, order = state.vehicle, state.orders.active or Reason.STOPPED
+    vehicle, order = state.vehicle, state.order or Reason.STOPPED
     elsewhere = vehicle.mode not in (Mode.GUIDED, Mode.TAKE_OFF, Mode.HOLD)
     if vehicle.armed and elsewhere:
         return taken(state, turn)
@@ -183,7 +177,7 @@ def _take_again(state: State, event: Event, turn: Turn, *, given_back: bool = Tr
     elif state.vehicle.mode is Mode.GUIDED:
         come_to_rest(state)
         resumed(state, turn)
-    elif state.hold is not Hold.STREAM_LOST:
+    elif state.held_for is not Reason.STREAM_LOST:
         _ask_for_guided(state, event, turn)
     elif isinstance(event, Position):
         _stream_here(state, event, math.inf, turn)
@@ -194,7 +188,7 @@ def resumed(state: State, turn: Turn) -> None:
 
     If the backtrack is too far away or blocked, a path home is planned.
     """
-    flight, wanted = state.flight, state.orders.active
+    flight, wanted = state.flight, state.order
     if wanted not in (None, state.reason):
         come_to_rest(state, state.vehicle.position_nea_m)
         state.taken = False
@@ -215,8 +209,7 @@ def _hold_on_setpoints(state: State, held: phases.Holding, event: Event, turn: T
         return way_back.on_plan(state, event, turn)
     if not isinstance(event, Position):
         return
-    if battery_runs_low(state):  # a pause, too, ends before the battery does
-        give_up_for_battery(state)
+    if gives_up_for_battery(state):  # a pause, too, ends before the battery does
         hold_for(state, Reason.BATTERY_LOW)
         turn.warn(f"hold: {Reason.BATTERY_LOW.text}")
         return
@@ -230,15 +223,15 @@ def _hold_on_setpoints(state: State, held: phases.Holding, event: Event, turn: T
 
 def _end_of_hold(state: State, event: Position, turn: Turn) -> None:
     """What comes after a hold on setpoints, once that is due."""
-    hold, near, flight = state.hold, turn.context.mission.near, state.flight
+    why, near, flight = state.held_for, turn.context.mission.near, state.flight
     held_s, settled = state.in_phase_s, _is_settled(state, event)
     moving = not settled and held_s < _SETTLE_S
     pause_s = _PAUSE_S
     if near is not None:  # what it sees now is on the map at once
         pause_s = _SENSOR_S if state.vehicle.sight.is_blind else state.task.settings.planning_time_s
-    if hold is Hold.LAND and not moving:
+    if why is Reason.LAND_ASKED and not moving:
         return _land_here(state, turn)
-    if hold in (Hold.PAUSED, Hold.LAND) or held_s < pause_s or moving:
+    if why in (Reason.PAUSED, Reason.LAND_ASKED) or held_s < pause_s or moving:
         return
     if waits_for_fence(state, turn.context):
         if not fence_is_given_up(state):
@@ -247,14 +240,13 @@ def _end_of_hold(state: State, event: Position, turn: Turn) -> None:
         return _other_way(state, turn)
     low_battery = state.reason is Reason.BATTERY_LOW  # which may have ended a pause
     on_way_back = flight.returning or (low_battery and flight.homeward)
-    goes_back = flight.returning or flight.homeward
-    if state.vehicle.ground_above_m and not goes_back and hold is Hold.REPLAN:
+    if state.vehicle.ground_above_m and flight.way is Way.OUT and why not in ORDERED:
         if held_s < _SENSOR_S * turn.context.mission.attempts:
             return
         hold_for(state, Reason.GROUND_NEARER)
         return _other_way(state, turn)
     tries = flight.failures < turn.context.mission.attempts and flight.stops <= _MAX_STOPS
-    if not on_way_back and (hold is Hold.RETURN or not tries):
+    if not on_way_back and (why in (Reason.RETURN_ASKED, Reason.BATTERY_LOW) or not tries):
         return _other_way(state, turn)
     if state.vehicle.traits.hovers and (state.reason is Reason.NEW_THREAT or not settled):
         come_to_rest(state)  # the band may be another one, or it does not come back
@@ -292,7 +284,7 @@ def _other_way(state: State, turn: Turn) -> None:
 def _hold_in_its_own_mode(state: State, held: phases.Holding, event: Event, turn: Turn) -> None:
     """The autopilot holds, until the vehicle is at rest and its position was valid for a while."""
     vehicle, mode, hovers = state.vehicle, state.vehicle.mode, state.vehicle.traits.hovers
-    taking_over, ordered = held.how is Hold.TAKE_OVER, state.orders.active
+    taking_over, ordered = held.why in TAKES_OVER, state.order
     if state.in_phase_s > _HOLD_S or state.flight.troubles > _TROUBLES:
         return turn.to(Trigger.GIVE_UP)
     if mode is not Mode.TAKE_OFF and _is_elsewhere(state):
@@ -353,6 +345,13 @@ def _ask_for_guided(state: State, event: Event, turn: Turn) -> None:
         near_m = max(AT_M, _CIRCLES * state.task.limits.loiter_radius_m)
         _stream_here(state, event, near_m, turn)
     turn.ask(SetMode(mode=Mode.GUIDED))
+
+
+_HELD_BY = {
+    By.SETPOINTS: _hold_on_setpoints,
+    By.MODE: _hold_in_its_own_mode,
+    By.NOBODY: _while_taken_over,
+}
 
 
 # --- at the target
@@ -492,10 +491,6 @@ def handing_over(state: State, stage: phases.Stage, _event: Event, turn: Turn) -
         return
     if vehicle.mode is Mode.RETURN:
         return turn.to(Trigger.HANDED_ON)
-    if not vehicle.armed or state.is_grounded:
-        return turn.give_up(Reason.GROUNDED if vehicle.armed else Reason.DISARMED)
-    if not is_ours(state):
-        return turn.give_up(takeover_reason(state))
     if stage.asks == _ASKS and state.now_s - stage.asked_at_s >= ASK_AGAIN_S:
         return turn.give_up(Reason.NOT_OBEYING)
     turn.ask(SetMode(mode=Mode.RETURN))

@@ -13,8 +13,8 @@ from companion.mission import phases
 from companion.mission.decisions import Context, Turn, in_words
 from companion.mission.events import Disarm, Event, Landed, LinkLost, Mode, Position, SetMode
 from companion.mission.mission import EndAction, Fallback
-from companion.mission.phases import IN_AIR, ON_SETPOINTS, Hold, Phase, Reason, Trigger
-from companion.mission.state import State
+from companion.mission.phases import GOING_UP, IN_AIR, LED, TAKES_OVER, By, Phase, Reason, Trigger
+from companion.mission.state import Goal, State, Way
 from companion.mission.vehicle_traits import UNKNOWN, TakeoffSequence
 from companion.mission.way_back import is_above_home
 from companion.world.zones import nearest
@@ -26,20 +26,15 @@ _BREACH_S = 5.0  # from what the autopilot does to what it says
 
 # --- 1. whose modes are ours
 
-OURS: Final[dict[Phase | Hold, tuple[Mode, ...]]] = {
+OURS: Final[dict[Phase | By, tuple[Mode, ...]]] = {
     Phase.TAKING_OFF: (Mode.GUIDED, Mode.TAKE_OFF, Mode.HOLD),
-    Phase.FLYING: (Mode.GUIDED,),
-    Phase.RETURNING: (Mode.GUIDED,),
-    Phase.ARRIVED: (Mode.GUIDED,),
+    **dict.fromkeys((*LED, By.SETPOINTS), (Mode.GUIDED,)),
     Phase.LANDING: (Mode.LAND,),
     Phase.HANDING_OVER: (Mode.GUIDED, Mode.HOLD, Mode.TAKE_OFF, Mode.RETURN),
-    **dict.fromkeys(ON_SETPOINTS, (Mode.GUIDED,)),
-    Hold.MODE: (Mode.GUIDED, Mode.HOLD),
-    Hold.TAKE_OVER: (Mode.GUIDED, Mode.HOLD, Mode.TAKE_OFF),
-    Hold.STREAM_LOST: (Mode.GUIDED, Mode.HOLD),
+    By.MODE: (Mode.GUIDED, Mode.HOLD),
 }
-"""Modes in which the vehicle does what we ask, by phase, and by how it is held in `holding`; what
-is not named has let go of it, or has not got it yet."""
+"""Modes in which the vehicle does what we ask, by phase, and by who holds it; what is not named has
+let go of it, or has not got it yet."""
 _ANY = (*Mode, None)
 
 
@@ -48,10 +43,10 @@ def is_ours(state: State) -> bool:
     phase, mode, stage = state.phase, state.vehicle.mode, state.stage
     traits = state.vehicle.traits
     if isinstance(stage, phases.Holding):
-        early = mode is Mode.TAKE_OFF and not stage.obeyed  # it has not heard us yet
-        if early and stage.how is Hold.MODE:
-            return still_goes_up(state)
-        return mode in OURS.get(stage.how, _ANY)
+        if mode is Mode.TAKE_OFF and stage.why.by is By.MODE:
+            early = not stage.obeyed and stage.why is not Reason.STREAM_LOST  # has not heard us yet
+            return stage.why in TAKES_OVER or (early and still_goes_up(state))
+        return mode in OURS.get(stage.why.by, _ANY)
     if phase is Phase.TAKING_OFF and traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB:
         return mode is Mode.GUIDED
     early = phase is Phase.LANDING and not stage.obeyed
@@ -83,7 +78,7 @@ def _is_held_by_what_it_misreads(state: State) -> bool:
 
     Where it keeps out then nobody else knows (px4.md 7); a lost stream it would have taken up.
     """
-    fence, lost = state.fence, state.hold is Hold.STREAM_LOST
+    fence, lost = state.fence, state.held_for is Reason.STREAM_LOST
     return fence is not None and fence.misread and lost and state.in_phase_s > _COMES_BACK_S
 
 
@@ -107,9 +102,9 @@ def still_goes_up(state: State) -> bool:
 # --- 2. what breaks a phase off
 
 
-_LED = (Phase.FLYING, Phase.RETURNING, Phase.ARRIVED)
-_UP = (Phase.TAKING_OFF, *_LED)
+_UP = (Phase.TAKING_OFF, *LED)
 _HELD = (Phase.HOLDING,)
+_LEAVES = (Phase.HANDING_OVER,)
 
 
 def _lost_or_taken(state: State) -> Reason:
@@ -117,7 +112,7 @@ def _lost_or_taken(state: State) -> Reason:
     vehicle, taken = state.vehicle, takeover_reason(state)
     needs_them = vehicle.traits.needs_setpoints_before_offboard
     lost = needs_them and vehicle.failsafe and vehicle.mode is Mode.HOLD
-    lost = lost and (state.hold is None or state.hold in ON_SETPOINTS)
+    lost = lost and state.held_by in (None, By.SETPOINTS)
     return Reason.STREAM_LOST if lost and taken is not Reason.FENCE_BREACHED else taken
 
 
@@ -127,8 +122,7 @@ def is_breach_of_fence(state: State) -> bool:
     On PX4 it looks like a loss of setpoints first; and the autopilot knows a fence changed in
     flight before the companion has downloaded it.
     """
-    held = state.hold in (Hold.TAKEN_OVER, Hold.STREAM_LOST)
-    if not held or state.reason is Reason.FENCE_BREACHED:
+    if state.held_for not in (Reason.MODE_TAKEN, Reason.FAILSAFE, Reason.STREAM_LOST):
         return False
     by_itself = state.vehicle.failsafe or state.in_phase_s < _BREACH_S
     return by_itself and takeover_reason(state) is Reason.FENCE_BREACHED
@@ -140,43 +134,45 @@ def stays_down(state: State) -> bool:
 
 
 def _falls_silent(state: State) -> bool:
-    return state.is_silent and state.hold is not Hold.SILENT
+    return state.is_silent and state.held_for is not Reason.LINK_LOST
 
 
 def _is_led(state: State) -> bool:
-    lost_s = state.in_phase_s if state.hold is Hold.STREAM_LOST else 0.0
+    lost_s = state.in_phase_s if state.held_for is Reason.STREAM_LOST else 0.0
     return is_ours(state) and lost_s <= _LEADS_BACK_S
 
 
-_Cause = Reason | Callable[[State], Reason | None]
+def _holds_as_asked(state: State) -> bool:
+    """Whether it does what was asked of it last, at the target."""
+    return state.vehicle.mode is Mode.HOLD and state.stage.asked_at_s > state.stage.since_s
+
+
+_Cause = Reason | Callable[[State], Reason | None] | None
 _Sign = Callable[[State, Event], bool]
 
 FAULTS: Final[tuple[tuple[_Cause, tuple[Phase, ...], _Sign], ...]] = (
+    (None, (Phase.ARRIVED,), lambda s, _: _holds_as_asked(s)),
+    (None, _LEAVES, lambda s, _: s.is_silent or s.vehicle.mode is Mode.RETURN),
     (Reason.FENCE_BREACHED, _HELD, lambda s, e: isinstance(e, Position) and is_breach_of_fence(s)),
     (Reason.LINK_LOST, (*_UP, *_HELD), lambda s, e: isinstance(e, LinkLost) or _falls_silent(s)),
-    (Reason.DISARMED, (*_UP, *_HELD), lambda s, _: not (s.vehicle.armed or stays_down(s))),
-    (Reason.GROUNDED, _HELD, lambda s, _: s.is_grounded and not stays_down(s)),
-    (_lost_or_taken, (*_UP, *_HELD), lambda s, _: not (stays_down(s) or _is_led(s))),
-    (Reason.GROUNDED, _LED, lambda s, _: s.is_grounded),
+    (None, _HELD, lambda s, _: stays_down(s)),
+    (Reason.DISARMED, (*_UP, *_HELD, *_LEAVES), lambda s, _: not s.vehicle.armed),
+    (Reason.GROUNDED, (*_HELD, *_LEAVES), lambda s, _: s.is_grounded),
+    (_lost_or_taken, (*_UP, *_HELD, *_LEAVES), lambda s, _: not _is_led(s)),
+    (Reason.GROUNDED, LED, lambda s, _: s.is_grounded),
     (lambda s: s.vehicle.distrust, _UP, lambda *_: True),
-    (lambda s: s.vehicle.distrust, _HELD, lambda s, _: s.hold in ON_SETPOINTS),
+    (lambda s: s.vehicle.distrust, _HELD, lambda s, _: s.held_by is By.SETPOINTS),
 )
 """Why a phase is broken off, in which of them that counts, and when it is so; the first that is.
+None: it is as it should be, and what comes below does not count.
 That the vehicle does not obey comes before a position that is not to be believed."""
 
 
 def fault_of(state: State, event: Event) -> Reason | None:
     """Why this phase cannot go on; None: it can."""
-    vehicle, phase = state.vehicle, state.phase
-    if (
-        phase is Phase.ARRIVED
-        and vehicle.mode is Mode.HOLD
-        and state.stage.asked_at_s > state.stage.since_s
-    ):
-        return None  # it does what was asked of it last
     for cause, counts_in, is_so in FAULTS:
-        if phase in counts_in and is_so(state, event):
-            return cause if isinstance(cause, Reason) else cause(state)
+        if state.phase in counts_in and is_so(state, event):
+            return cause(state) if callable(cause) else cause
     return None
 
 
@@ -193,20 +189,15 @@ _BRINGS_DOWN: Final = {
     Mode.LAND: ("landing here", Trigger.END_LAND),
     Mode.RETURN: ("its autopilot is told to return", Trigger.HAND_OVER),
 }
-_ASKED_IN: Final = {Phase.LANDING: Mode.LAND, Phase.HANDING_OVER: Mode.RETURN}
-"""The mode that a phase requests: given up in it, it was refused."""
+"""What is said then, and what requests the mode; given up in the phase after, it was refused."""
 
 
 def wanted_fallback(state: State, context: Context) -> Fallback:
     """The mission's fallback, or what was ordered or is in progress."""
-    flight, orders = state.flight, state.orders
-    ordered = (state.reason, orders.active, orders.suspended)
-    asked = Reason.RETURN_ASKED in (*ordered, flight.fallen_back)
-    landing = flight.fallen_back is Reason.LAND_ASKED and not asked
-    if landing or Reason.LAND_ASKED in ordered:
+    if state.goal is Goal.LAND:
         return Fallback.LAND
     ends_there = state.phase is Phase.ARRIVED and context.mission.end_action is EndAction.RETURN
-    home = asked or ends_there or flight.returning or flight.homeward
+    home = state.goal is Goal.HOME or ends_there or state.flight.way is not Way.OUT
     return Fallback.RETURN if home else context.mission.fallback
 
 
@@ -216,8 +207,8 @@ def fall_back(state: State, turn: Turn) -> None:
     fallback = wanted_fallback(state, turn.context)
     if fallback is Fallback.HOLD or traits is UNKNOWN or not _is_left_to_us(state):
         return
-    if state.phase in _ASKED_IN:
-        flight.refused_modes |= {_ASKED_IN[state.phase]}
+    asked = (mode for mode, (_, trigger) in _BRINGS_DOWN.items() if trigger.after is state.phase)
+    flight.refused_modes |= {*asked}
     if state.vehicle.distrust is not None or is_above_home(state):
         fallback = Fallback.LAND
     able = {Mode.RETURN, Mode.LAND} if traits.lands else {Mode.RETURN}
@@ -250,8 +241,8 @@ def _is_left_to_us(state: State) -> bool:
 
 
 def _does_as_told(state: State) -> bool:
-    mode, rises = state.vehicle.mode, state.phase in (Phase.ARMING, Phase.TAKING_OFF)
-    rises = rises or state.hold is Hold.TAKE_OVER or still_goes_up(state)
+    mode, rises = state.vehicle.mode, state.phase in GOING_UP
+    rises = rises or state.held_for in TAKES_OVER or still_goes_up(state)
     return mode is Mode.GUIDED or (mode is Mode.TAKE_OFF and rises)
 
 
@@ -273,7 +264,7 @@ def _takes_off(state: State) -> bool:
 def _flies(state: State) -> bool:
     """Its last heartbeat may be from before what we asked last."""
     vehicle, holds = state.vehicle, state.vehicle.mode is Mode.HOLD
-    if state.hold is not None and state.reason is Reason.BROKEN_OFF:
+    if state.held_for is not None and state.reason is Reason.BROKEN_OFF:
         return holds or not vehicle.armed or _does_as_told(state)
     if state.is_grounded:
         return still_goes_up(state) and _takes_off(state)

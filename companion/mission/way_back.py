@@ -7,7 +7,7 @@ from companion.mission import following, phases
 from companion.mission.decisions import AT_M, Turn
 from companion.mission.events import Plan, PlanReady
 from companion.mission.phases import OnPath, Reason, Trigger
-from companion.mission.state import Orders, State, Targets, Way
+from companion.mission.state import State, Targets, Way
 from companion.planner.procedure import Leg, Reference, hover_pose
 from companion.planner.progress import NO_PROGRESS
 from companion.planner.request import Backtrack, PlanRequest, Refusal
@@ -148,7 +148,6 @@ def home_by_plan(
             turn.warn(why)
         return turn.give_up(reason)
     set_targets(state, (place,), Way.HOME)
-    state.orders = Orders()
     turn.say(text, "end", warning=warning)
     return turn.to(Trigger.RESUME)
 

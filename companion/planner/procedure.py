@@ -89,7 +89,7 @@ class Leg:
         """The task at the highest speed that it is proven for."""
         return self.rules.at_speed(self.speed_m_s)
 
-    @property
+    @cached_property
     def motion(self) -> Envelope:
         """How the vehicle moves on it."""
         return self.task.envelope
@@ -331,12 +331,6 @@ def is_at_end(reference: Reference, leg: Leg, until_m: float = math.inf) -> bool
     return min(leg.subpath.length_m, until_m) - reference.length_m < _ARRIVED_M
 
 
-def ahead_m(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray) -> float:
-    """How far the vehicle is ahead of the reference point, along the path; negative: behind."""
-    pose = leg.subpath.pose(reference.length_m)
-    return float((vehicle_nea_m - pose.position_nea_m) @ pose.tangent_nea)
-
-
 def off_path_m(
     reference: Reference, leg: Leg, vehicle_nea_m: FloatArray, past_m: float = 0.0
 ) -> float:
@@ -345,14 +339,15 @@ def off_path_m(
     Before its start the path is taken to come straight from behind: another leg does.
     past_m: so far beyond its end it is taken to go straight on.
     """
-    length_m = leg.subpath.length_m
+    at_m, length_m = reference.length_m, leg.subpath.length_m
     for _ in range(_PROJECTIONS):
-        at_m = reference.length_m + ahead_m(reference, leg, vehicle_nea_m)
-        reference = Reference(length_m=min(max(at_m, 0.0), length_m))
-    pose = leg.subpath.pose(reference.length_m)
+        pose = leg.subpath.pose(at_m)
+        at_m += float((vehicle_nea_m - pose.position_nea_m) @ pose.tangent_nea)
+        at_m = min(max(at_m, 0.0), length_m)
+    pose = leg.subpath.pose(at_m)
     off = vehicle_nea_m - pose.position_nea_m
     along_m = float(off @ pose.tangent_nea)
-    if reference.length_m >= length_m:
+    if at_m >= length_m:
         along_m = min(max(along_m, 0.0), past_m)
     return float(np.linalg.norm(off - along_m * pose.tangent_nea))
 

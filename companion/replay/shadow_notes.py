@@ -6,7 +6,7 @@ from typing import Final, final
 import numpy as np
 
 from companion.geodesy import LocalFrame
-from companion.mission import journal
+from companion.mission import events, journal
 from companion.mission.events import Item, Landed, Vector
 from companion.mission.state import Phase, Reason, State, Vehicle
 from companion.planner.request import Refusal
@@ -215,14 +215,14 @@ class Notes:
                     asked.remedy = Refusal[reason].value
                     if not asked.goes_on:  # the vehicle had left the last path long before
                         self._path = None
-            case journal.LinkLost(silent_s=silent_s) if _SILENCE not in self._spans:
+            case events.LinkLost(silent_s=silent_s) if _SILENCE not in self._spans:
                 self._end_all(at_s - silent_s)
                 self._spans[_SILENCE] = self.saw(_SILENCE, at_s - silent_s)
-            case journal.Prepared(item=item, refusal=refusal):
+            case events.Prepared(item=item, refusal=refusal):
                 if item is not Item.PARAMETERS and refusal:
                     self._judge(f"would have refused the flight: {refusal}")
                 self._judge_parameters(session)
-            case journal.End(reason=reason) if self._is_ready:
+            case events.End(reason=reason) if self._is_ready:
                 self.report.notes.append(f"gave up watching at {at_s:,.1f} s: {reason}")
 
     def _judge_parameters(self, session: Session) -> None:

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from companion.geodesy import FloatArray, LocalFrame
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, Message, wire
 from companion.mavlink.frames import V2, decoded, number_of, payload_of, sender_of
+from companion.mission import events
 from companion.mission import journal as noted
 from companion.mission.journal import Entry, Header, PlanReady
 from companion.mission.mission import Mission
@@ -45,12 +46,12 @@ _SAME_S: Final = 1e-6
 _LEG_POINTS: Final = 2001
 _HELD: Final = {MissionPhase.HOLDING.value: "hold", MissionPhase.FAULTED.value: "fault"}
 _MOMENTS: Final[dict[type[Entry], tuple[str, str]]] = {
-    noted.LinkLost: ("link lost", "nothing was heard for {0.silent_s:g} s"),
-    noted.VehicleRebooted: ("reboot", "the autopilot has rebooted"),
-    noted.PartDied: ("part died", "{0.error}"),
-    noted.StopAsked: ("stop asked", "a person asked for the end"),
+    events.LinkLost: ("link lost", "nothing was heard for {0.silent_s:g} s"),
+    events.Rebooted: ("reboot", "the autopilot has rebooted"),
+    events.PlannerDied: ("part died", "{0.error}"),
+    events.StopAsked: ("stop asked", "a person asked for the end"),
     noted.Resumed: ("resumed", "the companion was started again"),
-    noted.End: ("end", "{0.outcome.value}: {0.reason}"),
+    events.End: ("end", "{0.outcome.value}: {0.reason}"),
 }
 """What else is worth a point on the map, and why it happened, or how."""
 
@@ -172,13 +173,13 @@ class Decided:
                 return replace(self, asked=entry)
             case PlanReady():
                 return replace(self, ready=entry)
-            case noted.Fence():
+            case events.FenceChanged():
                 return replace(self, vehicle_zones=entry.zones)
-            case noted.Targets():
+            case events.TargetsChanged():
                 return replace(self, targets_ne_m=entry.targets_ne_m)
             case noted.OrderGiven(target_ne_m=(north_m, east_m)):
                 return replace(self, targets_ne_m=((north_m, east_m),))
-            case noted.Said(warning=True) | noted.VehicleSays():
+            case events.StatusText(warning=True) | noted.VehicleSays():
                 return replace(self, warning=entry.text)
             case _:
                 return self
@@ -220,7 +221,7 @@ class Flight:
             self._restarted = line.resumed is not None
             return
         fell = self._restarted and line.t_s < self._last_s - _RESTARTED_S
-        self._boot += fell or isinstance(line, noted.VehicleRebooted)
+        self._boot += fell or isinstance(line, events.Rebooted)
         self._restarted, self._last_s = False, line.t_s
         if isinstance(line, noted.VehicleFound):
             self.system_id = line.system_id

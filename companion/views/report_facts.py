@@ -9,6 +9,7 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 
 from companion.geodesy import BoolArray, FloatArray
+from companion.mission import events
 from companion.mission import journal as noted
 from companion.mission.state import IN_AIR, Phase, Reason
 from companion.telemetry.flight import Flight, IntArray
@@ -91,7 +92,7 @@ class FlightFacts:
     def _tell_what_happened(self, entries: list[noted.Entry]) -> None:
         self.vehicle = next((e.name for e in entries if isinstance(e, noted.VehicleFound)), "")
         """What was flown."""
-        self.end = next((e for e in reversed(entries) if isinstance(e, noted.End)), None)
+        self.end = next((e for e in reversed(entries) if isinstance(e, events.End)), None)
         """The end of the mission; None: the record ends before."""
         reason = "" if self.end is None else self.end.reason
         self.remedy = next((_REMEDIES[text] for text in _REMEDIES if reason.startswith(text)), "")

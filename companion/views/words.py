@@ -3,6 +3,7 @@
 import math
 from typing import Final
 
+from companion.mission import events
 from companion.mission import journal as noted
 from companion.mission.journal import Entry
 from companion.mission.state import Phase
@@ -12,32 +13,32 @@ _WORDS: Final[dict[type[Entry], str]] = {
     noted.LegBegun: "begins subpath {0.number}",
     noted.PathLeft: "beside its path, {0.left_path_m:.2g} m more than its tracking error",
     noted.Resumed: "the companion was started again",
-    noted.StopAsked: "a person asked for the end",
-    noted.End: "{0.outcome.value}: {0.reason}",
+    events.StopAsked: "a person asked for the end",
+    events.End: "{0.outcome.value}: {0.reason}",
     noted.ScanDone: "scan: {0.blocks_answered} of {0.blocks_asked} blocks answered",
     noted.PlanReady: "plan {0.plan_id}: {0.length_m:,.0f} m, {0.evaluations:,} candidates",
     noted.PlanRefused: "plan {0.plan_id} refused: {0.reason}",
-    noted.PlanLate: "plan {0.plan_id} was not ready in time",
+    events.PlanLate: "plan {0.plan_id} was not ready in time",
     noted.CommandHeard: "{0.sender} sends command {0.command}",
     noted.OrderGiven: "order of {0.sender}: {0.order}",
     noted.VehicleFound: "found {0.name}, system {0.system_id}",
     noted.VehicleSays: "vehicle: {0.text}",
-    noted.VehicleRebooted: "the autopilot has rebooted",
-    noted.LinkLost: "link lost: nothing was heard for {0.silent_s:g} s",
+    events.Rebooted: "the autopilot has rebooted",
+    events.LinkLost: "link lost: nothing was heard for {0.silent_s:g} s",
     noted.AnotherCompanion: "another companion uses the same ids",
-    noted.ModeAsked: "asks for the mode {0.mode.value}",
-    noted.ArmAsked: "arms the vehicle",
-    noted.DisarmAsked: "disarms the vehicle",
-    noted.TakeOffAsked: "takes off, to {0.above_home_m:.0f} m above home",
+    events.SetMode: "asks for the mode {0.mode.value}",
+    events.Arm: "arms the vehicle",
+    events.Disarm: "disarms the vehicle",
+    events.TakeOff: "takes off, to {0.above_home_m:.0f} m above home",
     noted.SetpointRefused: "a setpoint out of range was not sent: {0.setpoint}",
-    noted.Said: "companion: {0.text}",
-    noted.PartDied: "a part of the companion has died: {0.error}",
+    events.StatusText: "companion: {0.text}",
+    events.PlannerDied: "a part of the companion has died: {0.error}",
 }
 """Of those that people would miss; fence, targets and preparations are said, too."""
 _BAD: Final = (
-    *(noted.Resumed, noted.StopAsked, noted.PlanRefused, noted.PlanLate, noted.VehicleRebooted),
-    *(noted.LinkLost, noted.AnotherCompanion, noted.SetpointRefused),
-    noted.PartDied,
+    *(noted.Resumed, events.StopAsked, noted.PlanRefused, events.PlanLate, events.Rebooted),
+    *(events.LinkLost, noted.AnotherCompanion, noted.SetpointRefused),
+    events.PlannerDied,
 )
 
 
@@ -47,13 +48,13 @@ def entry_words(entry: Entry) -> tuple[str, bool] | None:
     match entry:
         case noted.Phase(phase=phase, reason=reason):
             return f"{phase}: {reason}" if reason else phase, phase in _BAD_PHASES
-        case noted.Prepared(item=item, refusal=refusal) if refusal:
+        case events.Prepared(item=item, refusal=refusal) if refusal:
             return f"{item.value}: {refusal}", True
         case noted.PlanRefused(out_of_time=True, evaluations=count):
             is_bad, after = True, f"; time was up after {count:,} candidates"
-        case noted.Said(warning=is_bad):
+        case events.StatusText(warning=is_bad):
             pass
-        case noted.End(outcome=outcome):
+        case events.End(outcome=outcome):
             is_bad = outcome.value != "arrived"
         case _:
             is_bad = isinstance(entry, _BAD)

@@ -121,6 +121,7 @@ def test_an_order_that_can_never_be_carried_out_is_invalid_and_who_only_watches_
         ((5.0, LAND, 0.5, PAUSE, 0.5, CONTINUE), LANDING, RETURNING),
         ((5.0, LAND, 0.5, PAUSE, 60.0, CONTINUE), LANDING, RETURNING),
         ((5.0, LAND, 0.5, PAUSE, 60.0, Craft.restart, 30.0, CONTINUE), LANDING, RETURNING),
+        ((5.0, RETURN, RETURNING, 3.0, LAND, 0.5, Craft.reboot), LANDING, RETURNING),
     ],
     ids=lambda value: value.value if isinstance(value, Phase) else None,
 )

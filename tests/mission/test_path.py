@@ -15,7 +15,7 @@ from wild import Wild
 from companion.mission import events, machine
 from companion.mission.decisions import Turn
 from companion.mission.events import Mode, Setpoint
-from companion.mission.following import is_on_path, joined, left_path, outside_m, send_setpoint
+from companion.mission.following import departs, joined, outside_m, send_setpoint
 from companion.mission.journal import of_change
 from companion.mission.phases import Answered, OnPath, Phase, Reason
 from companion.mission.state import State
@@ -49,7 +49,7 @@ def found_at(path: OnPath, way: Way, by_m: float, later_s: float = 0.0) -> tuple
     if later_s:
         path.outside_since_s, path.outside_m = state.now_s - later_s, 1.0
     event = position(state.now_s, here, cruising().velocity)
-    return path, left_path(state, path, event, Turn(state, cruising().context))
+    return path, departs(state, state.stage, path, event, Turn(state, cruising().context))
 
 
 LIMITS = {
@@ -99,10 +99,10 @@ def test_who_overshoots_the_end_of_its_path_has_left_it() -> None:
         assert (left.stop, departs) == (None, None)
 
 
-def test_who_is_seen_at_a_glance_to_be_on_its_path_is_not_outside_of_anything() -> None:
+def test_who_is_within_a_tracking_error_of_its_path_is_not_outside_of_anything() -> None:
     """On paths that bend up to the turn radius, before and behind the reference point."""
     craft, rng = cruising(), np.random.default_rng(1)
-    state, radius_m, seen = craft.state, MISSION.task.limits.turn_radius_m, 0
+    state, radius_m, inside, outside = craft.state, MISSION.task.limits.turn_radius_m, 0, 0
     for _ in range(60):
         turn_rad = np.linspace(0.0, rng.uniform(0.2, 2.0), 7)
         bend_m = radius_m * rng.uniform(1.1, 3.0)  # of the polygon: the curve lies inside it
@@ -110,15 +110,20 @@ def test_who_is_seen_at_a_glance_to_be_on_its_path_is_not_outside_of_anything() 
         bent = Subpath(control_nea_m=bend_m * control + (0.0, 0.0, craft.here[2]))
         at = Reference(length_m=rng.uniform(0.0, bent.length_m), speed_m_s=SPEED_M_S)
         path = replace(state.path, leg=replace(state.leg, subpath=bent), reference=at)
-        told = bent.pose(at.length_m).position_nea_m
+        told, samples = bent.pose(at.length_m).position_nea_m, bent.sampled(0.1).value
         for off_m in (np.zeros(3), *(rng.normal(size=(40, 3)) * ERROR_M * rng.uniform(0.1, 1.5))):
             here = position(state.now_s, tuple((told + off_m).tolist()), craft.velocity)
-            if is_on_path(state, path, here):
-                seen += 1
-                assert outside_m(state, path, here) == (0.0, 0.0, 0.0)
-            else:
-                assert off_m.any()
-    assert seen > 500
+            across_m, before_m, far_m = outside_m(state, path, here)
+            apart_m = np.linalg.norm(samples - here.position_nea_m, axis=-1).min()
+            ahead_m = float(off_m @ bent.pose(at.length_m).tangent_nea)
+            inside += (across_m, before_m, far_m) == (0.0, 0.0, 0.0)
+            outside += across_m > 0.0
+            assert across_m > 0.0 or apart_m <= ERROR_M + 0.01 or ahead_m < 0.0
+            assert apart_m > ERROR_M - 0.01 or across_m < 0.05
+            assert (before_m > 0.0) is (ahead_m > ERROR_M)
+            assert far_m == 0.0 or abs(ahead_m) > ERROR_M
+    assert inside > 500
+    assert outside > 500
 
 
 @pytest.mark.parametrize("radius_m", [400.0, 1_000.0, 10_000.0])

@@ -34,10 +34,10 @@ from made_up import (
 from made_up_plans import not_planned, planned, straight
 from renewed import replace
 
-from companion.mission import changes, events
+from companion.mission import changes, events, phases
 from companion.mission.events import Landed, Mode, OrderKind, Outcome, Setpoint
 from companion.mission.mission import EndAction, Fallback, Mission
-from companion.mission.phases import Hold, Phase, Reason
+from companion.mission.phases import Phase, Reason
 from companion.planner.request import Backtrack, NotPlanned, PlanOutcome, PlanRequest, Refusal
 
 PAUSE, CONTINUE, RETURN = OrderKind.PAUSE, OrderKind.CONTINUE, OrderKind.RETURN
@@ -98,7 +98,7 @@ TAKEN = now(mode=Mode.OTHER, obeys_modes=False)
 GIVEN_BACK = now(mode=Mode.GUIDED, obeys_modes=True)
 FALLEN = now(mode=Mode.OTHER, armed=False, landed=Landed.ON_GROUND)
 LED_ON = until(lambda craft: craft.state.reference.length_m > 2_000.0)
-TAKES_OVER = until(lambda craft: craft.state.hold in (Hold.TAKE_OVER, Hold.REPLAN))
+TAKES_OVER = until(lambda craft: craft.state.held_for in (*phases.TAKES_OVER, Reason.NO_PLAN))
 FLIES_HOME = until(lambda craft: craft.state.flight.homeward and craft.velocity[0] != 0.0)
 
 

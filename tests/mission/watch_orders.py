@@ -10,7 +10,7 @@ import math
 from companion.mission import events
 from companion.mission.events import Command, Event, Order, OrderKind, Plan, PlanReady, Setpoint
 from companion.mission.mission import Mission
-from companion.mission.state import Phase, Reason, State
+from companion.mission.state import Goal, Phase, Reason, State
 
 SETS_OUT = (Phase.FLYING, Phase.RETURNING)
 SHORT_S, AT_ONCE_S = 3.0, 2.0
@@ -41,7 +41,7 @@ class WatchOrders:
     def saw(self, before: State, event: Event, after: State, commands: list[Command]) -> None:
         """One step."""
         self._hear(before, event)
-        if after.orders.active is Reason.BATTERY_LOW:
+        if after.goal is Goal.DOWN or after.reason is Reason.BATTERY_LOW:
             self.paused = False
         self.kept += self.paused or self.returns or self.lands or self._low_s > SHORT_S
         target = after.targets_ne_m[after.flight.target] if after.targets_ne_m else None

@@ -17,7 +17,6 @@ from companion.planner.procedure import (
     Offset,
     Reference,
     advance,
-    ahead_m,
     entering_m_s,
     is_at_end,
     off_path_m,
@@ -239,7 +238,6 @@ def test_off_the_path_is_the_distance_to_its_nearest_point_and_beyond_its_end_to
     points = np.concatenate([leg.subpath.points_nea_m(near), past])
     nearest = float(np.linalg.norm(points - vehicle, axis=-1).min())
     assert off_path_m(reference, leg, vehicle, past_m) == pytest.approx(nearest, abs=0.05)
-    assert ahead_m(reference, leg, vehicle) == pytest.approx(float(pose.tangent_nea @ off_m))
 
 
 # --- where to scan and where the next leg takes over

@@ -12,7 +12,7 @@ from renewed import replace
 
 from companion.config import load_mission
 from companion.mission import checkpoint
-from companion.mission.state import Orders, Phase, Reason, State
+from companion.mission.state import Goal, Phase, State
 from companion.telemetry.resume import ResumeData, load_resume_data
 from companion.telemetry.run_folder import RunFolder
 from companion.world.known_map import packed_map
@@ -27,7 +27,7 @@ def in_flight() -> checkpoint.Values:
     """What is kept of a flight that is paused on its way to the second target."""
     state = State.of(MISSION, BLANK)
     flight = replace(state.flight, target=1, plan_id=7, legs_flown=3)
-    paused = {"phase": Phase.HOLDING, "orders": Orders(Reason.PAUSED)}
+    paused = {"phase": Phase.HOLDING, "paused": True}
     state = replace(state, now_s=321.5, airborne=True, flight=flight, **paused)
     return {"system_id": 3, **checkpoint.values_of(state)}
 
@@ -55,7 +55,7 @@ def resumed(folder: Path) -> tuple[ResumeData, State]:
 
 def assert_goes_on(state: State, upper_m: Any) -> None:
     """It is where the checkpoint says, over this ground."""
-    assert (state.flight.target, state.orders.active, state.airborne) == (1, Reason.PAUSED, True)
+    assert (state.flight.target, state.paused, state.airborne) == (1, True, True)
     assert (state.flight.known.upper_m == upper_m).all()
 
 
@@ -138,7 +138,7 @@ def test_without_a_checkpoint_it_takes_over_and_never_arms(folder: Path, damage:
     assert len(line) < 200
     assert state.airborne
     assert state.stage.news == line
-    assert (state.flight.target, state.leg, state.orders.active) == (0, None, None)
+    assert (state.flight.target, state.leg, state.goal) == (0, None, Goal.TARGETS)
     assert np.array_equal(state.flight.known.upper_m, BLANK.upper_m)
     assert state.flight.plan_id == 7
     assert recalled.resume[0]["system_id"] == 3

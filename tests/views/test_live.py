@@ -13,7 +13,7 @@ from test_output import written
 from companion.config import load_mission
 from companion.errors import FlightFailed, InputError
 from companion.mission.events import End, Outcome
-from companion.mission.phases import Hold, Phase, Reason
+from companion.mission.phases import Phase, Reason
 from companion.mission.stopped import FAILSAFE_OVER
 from companion.session import Session
 from companion.telemetry.flight_status import FlightStatus, flight_status
@@ -75,8 +75,8 @@ class Terminal:
 def test_each_change_is_a_line_that_says_why_it_holds_while_it_holds() -> None:
     """The autopilot's failsafe and its end, another reason, and no reason once it flies."""
     held = {"phase": Phase.HOLDING, "reason": Reason.FAILSAFE}
-    over = {"how": Hold.TAKEN_OVER, "failsafe_over": True}
-    lost = {"reason": Reason.LINK_LOST, "how": Hold.SILENT}
+    over = {"why": Reason.FAILSAFE, "failsafe_over": True}
+    lost = {"reason": Reason.LINK_LOST, "why": Reason.LINK_LOST}
     terminal = Terminal()
     terminal.show(100.0, **FLIES)
     for time_s, failsafe, changes, words in [

@@ -10,6 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import all as wire
 
 from companion.config import load_mission
+from companion.mission import events
 from companion.mission import journal as noted
 from companion.mission.journal import Header
 from companion.path.subpath import Subpath
@@ -107,7 +108,7 @@ def test_a_clock_that_begins_again_is_a_reboot_and_a_single_fall_is_a_mistake() 
 
 
 REBOOTED = [
-    *(phase(100.0, "flying"), noted.VehicleRebooted(time_s=0.4)),
+    *(phase(100.0, "flying"), events.Rebooted(time_s=0.4)),
     *(phase(0.4, "preparing"), phase(0.6, "holding", "x")),
 ]
 RESTARTED = [header(), phase(1000.0, "flying"), header(resumed=1), phase(5.0, "preparing")]
@@ -158,7 +159,7 @@ def test_the_newest_targets_count_and_the_fence_is_there_once() -> None:
     fence = {"kind": "fence", "t_s": 1.0, "floor_amsl_m": None, "ceiling_amsl_m": None}
     order = {"t_s": 3.0, "kind": "order", "sender": "255/190", "speed_m_s": None}
     fences = [noted.entry_of({**fence, "zones": [circle] * count}) for count in (2, 1)]
-    targets = noted.Targets(time_s=1.0, targets_ne_m=((5.0, 6.0), (7.0, 8.0)))
+    targets = events.TargetsChanged(time_s=1.0, targets_ne_m=((5.0, 6.0), (7.0, 8.0)))
     found = at(1.0, entries=[*fences, targets])
     assert found.decided.targets_ne_m == ((5.0, 6.0), (7.0, 8.0))
     assert len(found.zones_of(found.decided)) == 1
