@@ -182,6 +182,39 @@ def test_while_its_planner_is_loaded_it_sends_heartbeats_and_listens_to_ctrl_c_a
     assert max(after - before for before, after in pairwise(beats_s)) < 2.0
 
 
+@pytest.mark.parametrize(("starts_s", "heard"), [(6.0, True), (11.0, False)])
+def test_in_lockstep_a_vehicle_may_take_ten_seconds_after_the_planner_is_ready(
+    starts_s: float, heard: bool
+) -> None:
+    """Simulator and planner are both compiled the first time, one beside the other."""
+    link, ready_s, now_s = ScriptedLink(Vehicle()), 33.0, 0.0
+
+    def clock() -> float:
+        nonlocal now_s
+        now_s += 0.05
+        return now_s
+
+    class Loading:
+        """A planner that is ready after a while."""
+
+        is_ready = property(lambda _: now_s > ready_s)
+
+        def answer(self, _wait_s: float) -> None:
+            pass
+
+    def receive(_timeout_s: float) -> bytes | None:
+        return link.vehicle.tick() if now_s > ready_s + starts_s else None
+
+    link.receive = receive
+    session, planner = Session(MISSION, seed=1, lockstep=True), as_any(Loading())
+    control = loop.Loop(
+        session, link, planner, lockstep=True, clock=clock,
+        stop_asked=lambda: now_s > ready_s + 20.0,
+    )  # fmt: skip
+    control.run()
+    assert control.flown.heard is heard
+
+
 def test_who_spoke_for_the_vehicle_is_answered(folder: RunFolder) -> None:
     session, link = StubSession(), QueueLink(time.monotonic)
     link.sender = ("10.0.0.7", 14551)
