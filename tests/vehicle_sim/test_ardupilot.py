@@ -437,6 +437,15 @@ def test_outside_of_an_inclusion_the_action_is_a_parameter(action: int, mode: st
     assert it.run(0.2).status.fence == (1, 2)  # counted once each time that it begins
 
 
+def test_outside_of_its_fence_it_is_not_armed_and_says_why() -> None:
+    it = Rig(FENCE_ENABLE=1.0, FENCE_TYPE=4.0).armable()
+    it.simulation.plans[PlanKind.FENCE] = (item(HOME, 5004, 0.0, 0.0, 0.0, 50.0, frame=0),)
+    assert [it.set_mode("GUIDED"), it.arm()] == [ACCEPTED, FAILED]
+    assert it.texts()[-1] == "Arm: Vehicle breaching Polygon"
+    it.command(207, 0)  # off
+    assert it.arm() == ACCEPTED
+
+
 def test_the_floor_comes_with_the_height_is_breached_from_above_and_goes_with_the_landing() -> None:
     it = fenced(kinds=8.0, FENCE_ALT_MIN=15.0)
     lands = it.copy()
