@@ -192,6 +192,8 @@ def _drawn_one(
     if places is None or any(item.x == item.y == 0 for item in shape):
         return _unfit(f"{name} has a corner that is nowhere on Earth")
     if is_polygon:
+        if len({(item.x, item.y) for item in shape}) < 3:  # before long sides get more corners
+            return _unfit(f"{name} needs three corners")
         whole = len(shape) == wanted and all(item.parameters[0] == wanted for item in shape)
         return _polygon(places, name, margin_m, keep_in=keep_in, whole=whole)
     if not 0.0 < wanted <= _LARGEST_M:

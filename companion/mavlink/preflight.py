@@ -283,7 +283,9 @@ def _fence(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check
                 "fence", True, f"{len(drawn.zones)} zones of the vehicle's own are kept to"
             )
     elif vehicle.parameters.is_done:
-        yield _check("fence", False, "it is drawn about home, which is not known", "Wait for it.")
+        is_known = state.vehicle.home_nea_m is not None
+        what = "it is being read" if is_known else "it is drawn about home, which is not known"
+        yield _check("fence", False, what, "Wait for it.")
     targets = len(state.targets_ne_m)
     yield _check("targets", targets > 0, f"{targets} targets", "Upload a mission with waypoints.")
     if landing := stopped.landing_words(state, session.context):

@@ -153,6 +153,16 @@ def test_a_side_is_nowhere_off_by_half_a_metre(latitude_deg: float, size_deg: fl
         assert off_m.max() < 0.5 + 0.02  # and what a place in 1e-7 degrees is rounded by
 
 
+@pytest.mark.parametrize("command", [IN, OUT])
+@pytest.mark.parametrize("north_m", [100.0, 5e3, 1e5])
+def test_two_corners_are_no_fence_however_far_apart(command: int, north_m: float) -> None:
+    """Though a long side gets corners between, and is no straight line here."""
+    there_and_back = ring(command, (0.0, 0.0), (north_m, 2.0 * north_m), (0.0, 0.0))
+    fence = zones_of(there_and_back, ON)
+    assert "three corners" in fence.refusal
+    assert not fence.zones
+
+
 @pytest.mark.parametrize("latitude_deg", [0.0, 47.0, -33.0])
 @pytest.mark.parametrize("longitude_deg", [8.0, 179.99])
 def test_a_fence_of_a_continent_is_in_place(latitude_deg: float, longitude_deg: float) -> None:

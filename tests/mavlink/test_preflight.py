@@ -156,6 +156,20 @@ def test_a_vehicle_that_falls_silent_or_does_not_sign_may_not_fly() -> None:
     assert "not signed with this key. Set the same key up" in unsigned.words("vehicle")
 
 
+def test_a_fence_that_is_not_told_yet_says_what_it_waits_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    it = Pair().looked_at()
+    assert it.session.vehicle is not None
+    monkeypatch.setattr(it.session.vehicle.own_fence, "fence", None)
+    assert it.refused == ["fence"]
+    assert it.words("fence") == "it is being read. Wait for it."
+    state = it.session.state
+    homeless = replace(state, vehicle=replace(state.vehicle, home_nea_m=None))
+    monkeypatch.setattr(it.session, "state", homeless)
+    assert it.words("fence") == "it is drawn about home, which is not known. Wait for it."
+
+
 HIGH = (0.0, 0.0, 700.0)
 NEAR = NearSensor(kind="obstacle_distance", component_id=196, range_m=16.0)
 DEAF = SimpleNamespace(heard_s=-math.inf)

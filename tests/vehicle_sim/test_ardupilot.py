@@ -102,6 +102,13 @@ def test_rtl_climbs_to_15_m_comes_home_tail_first_waits_and_lands() -> None:
     assert abs(it.ned_m[1]) < 0.5
 
 
+def test_a_return_over_home_takes_1_55_s_for_climbing_and_for_going_home_and_waits() -> None:
+    it = hovering(20.0)
+    assert it.set_mode("RTL") == ACCEPTED
+    lands_s = it.until(lambda: it.status.landed_state == LANDING, within_s=20.0)
+    assert lands_s == approx(1.55 + 1.55 + 5.0, abs=0.1)  # RTL_LOIT_TIME
+
+
 def test_brake_stops_and_ignores_setpoints() -> None:
     it = hovering(60.0)
     it.vehicle.velocity_m_s = 15.0 + 0j
@@ -426,6 +433,24 @@ def test_outside_of_an_inclusion_the_action_is_a_parameter(action: int, mode: st
     assert (it.run(1.0).mode, it.status.fence[0]) == ("GUIDED", 1)
     it.command(207, 0)  # off
     assert not it.run(0.2).status.fence[0]
+    it.command(207, 1)
+    assert it.run(0.2).status.fence == (1, 2)  # counted once each time that it begins
+
+
+@pytest.mark.parametrize("mode", ["RTL", "LAND", "BRAKE"])
+def test_in_a_mode_that_is_for_the_air_it_is_not_armed(mode: str) -> None:
+    it = Rig().armable()
+    assert [it.set_mode(mode), it.arm()] == [ACCEPTED, FAILED]
+    assert it.texts()[-1] == f"Arm: {mode} mode not armable"
+
+
+def test_outside_of_its_fence_it_is_not_armed_and_says_why() -> None:
+    it = Rig(FENCE_ENABLE=1.0, FENCE_TYPE=4.0).armable()
+    it.simulation.plans[PlanKind.FENCE] = (item(HOME, 5004, 0.0, 0.0, 0.0, 50.0, frame=0),)
+    assert [it.set_mode("GUIDED"), it.arm()] == [ACCEPTED, FAILED]
+    assert it.texts()[-1] == "Arm: Vehicle breaching Polygon"
+    it.command(207, 0)  # off
+    assert it.arm() == ACCEPTED
 
 
 def test_the_floor_comes_with_the_height_is_breached_from_above_and_goes_with_the_landing() -> None:
