@@ -41,10 +41,7 @@ _ON_CIRCLE = 1.5  # loiter radii: a plane may be circling there
 
 
 def lead_m(state: State) -> float:
-    """How far ahead of the reference point the setpoint lies, along the path.
-
-    The lead of the vehicle traits.
-    """
+    """How far ahead of the reference point the setpoint of a plane lies, along the path."""
     vehicle = state.vehicle
     over_ground = math.hypot(*vehicle.velocity_nea_m_s[:2])  # what counts in wind, not V
     return min(vehicle.traits.lead_s * over_ground, _LONGEST_LEAD * state.task.envelope.lead_m)
@@ -109,7 +106,7 @@ def outside_m(state: State, path: OnPath, event: Position) -> tuple[float, float
         allowed_m += float(np.linalg.norm(path.offset.position_nea_m))
     past_m = min(beyond_m(motion), motion.tube_m)
     across_m = procedure.off_path_m(reference, leg, here, past_m) - allowed_m
-    before_m = ahead_m - lead_m(state) - allowed_m
+    before_m = ahead_m - allowed_m
     far_m = abs(ahead_m) - motion.lag_m - allowed_m
     return max(across_m, 0.0), max(before_m, 0.0), max(far_m, 0.0)
 
@@ -190,10 +187,7 @@ def send_setpoint(state: State, path: OnPath, event: Position, turn: Turn) -> No
     least_s = traits.setpoint_period_s - 0.5 * state.vehicle.position_step_s
     if state.now_s - state.flight.sent_at_s <= least_s:
         return
-    ahead_m = lead_m(state)
-    if traits.hovers and path.stop is not None:
-        next_leg, end_m = None, min(leg.subpath.length_m, path.stop.at_m)
-        ahead_m = min(ahead_m, max(end_m - reference.length_m, 0.0))
+    ahead_m = 0.0 if traits.hovers else lead_m(state)
     pose = procedure.sent_pose(reference, leg, next_leg, ahead_m)
     speed = min(reference.speed_m_s, procedure.allowed_speed_m_s(pose, state.task.limits))
     beyond_m = reference.length_m + ahead_m - leg.subpath.length_m

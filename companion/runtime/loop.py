@@ -160,7 +160,7 @@ class Loop:
                 self._heard_s = self.clock()
                 if listens:
                     self.session.silence(0.0)
-        self.flown.loads, self._heard_s = False, self.clock()  # nobody was waited for before
+        self.flown.loads, self._heard_s = False, self.clock()  # from now on it is waited for
         for _ in range(_MOST_WAITING if listens else 0):
             if self.link.receive(0.0) is None:
                 break

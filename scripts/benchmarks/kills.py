@@ -195,7 +195,7 @@ class KilledFlight(Flight):
         where = np.array([*track[:: max(len(track) // 150, 1)], track[-1]])
         state, legs, (leg, _) = self.session.state, self._legs, self._legs[0]
         path, at_m = state.path, state.reference.length_m
-        points_m = at_m + lead_m(state, state.reference)
+        points_m = at_m + lead_m(state)
         if path and path.next_leg and points_m > path.leg.successor_at_m:
             legs = [(path.next_leg, False), *legs]
         outside = np.full(len(where), math.inf)

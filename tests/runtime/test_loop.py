@@ -184,24 +184,6 @@ def test_while_its_planner_is_loaded_it_sends_heartbeats_and_listens_to_ctrl_c_a
     assert max(after - before for before, after in pairwise(beats_s)) < 2.0
 
 
-def test_after_its_planner_was_loaded_a_vehicle_has_ten_seconds_to_be_heard() -> None:
-    now_s, planner = 0.0, SimpleNamespace(is_ready=False, answer=lambda _wait_s: None)
-
-    def clock() -> float:
-        nonlocal now_s
-        now_s += 0.1
-        planner.is_ready = now_s > 4.5
-        return now_s
-
-    session, link = Session(MISSION, seed=1, lockstep=False), QueueLink(lambda: now_s)
-    control = loop.Loop(
-        session, link, as_any(planner), lockstep=False, clock=clock, stop_asked=lambda: False
-    )
-    control.run()
-    assert session.state.reason is Reason.NO_VEHICLE
-    assert 14.5 < now_s < 20.0
-
-
 def test_in_lockstep_a_person_ends_the_wait_for_a_plan_that_does_not_come() -> None:
     link, waited_s, now_s = ScriptedLink(Vehicle()), 0.0, 0.0
 
@@ -232,6 +214,39 @@ def test_in_lockstep_the_death_of_a_planner_outlasts_a_question_that_it_is_asked
     pending.ask(9.0)
     assert not pending.is_missing(10.0)
     assert pending.take(0.0) is died  # whatever the clock: its autopilot may have rebooted
+
+
+@pytest.mark.parametrize(("starts_s", "heard"), [(6.0, True), (11.0, False)])
+def test_in_lockstep_a_vehicle_may_take_ten_seconds_after_the_planner_is_ready(
+    starts_s: float, heard: bool
+) -> None:
+    """Simulator and planner are both compiled the first time, one beside the other."""
+    link, ready_s, now_s = ScriptedLink(Vehicle()), 33.0, 0.0
+
+    def clock() -> float:
+        nonlocal now_s
+        now_s += 0.05
+        return now_s
+
+    class Loading:
+        """A planner that is ready after a while."""
+
+        is_ready = property(lambda _: now_s > ready_s)
+
+        def answer(self, _wait_s: float) -> None:
+            pass
+
+    def receive(_timeout_s: float) -> bytes | None:
+        return link.vehicle.tick() if now_s > ready_s + starts_s else None
+
+    link.receive = receive
+    session, planner = Session(MISSION, seed=1, lockstep=True), as_any(Loading())
+    control = loop.Loop(
+        session, link, planner, lockstep=True, clock=clock,
+        stop_asked=lambda: now_s > ready_s + 20.0,
+    )  # fmt: skip
+    control.run()
+    assert control.flown.heard is heard
 
 
 def test_who_spoke_for_the_vehicle_is_answered(folder: RunFolder) -> None:
