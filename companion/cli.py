@@ -35,6 +35,7 @@ from companion.mavlink.preflight import CheckStatus, checks_of, not_heard
 from companion.mavlink.signing import Signing
 from companion.mission.events import Outcome
 from companion.mission.mission import Mission
+from companion.mission.state import Reason
 from companion.paper.compare.command import compare_command
 from companion.printable import printable
 from companion.replay.command import ProfileName, export, replay_command
@@ -493,7 +494,8 @@ def _exit_as_it_ended(flown: FlightSummary, connect: str) -> None:
     if end is None or end.outcome is Outcome.FAILED:
         reason = "the flight did not end" if end is None else end.reason
         remedy = "" if end is None else end.remedy
-        if not flown.heard:
+        failed = flown.died or flown.session.state.reason is Reason.PLANNER_DIED
+        if not (flown.heard or failed):
             reason, remedy = _not_heard(flown.session, connect)
         raise (FlightInterrupted if flown.may_go_on else FlightFailed)(reason, remedy)
     if end.outcome is Outcome.STOPPED:

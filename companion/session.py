@@ -205,14 +205,14 @@ class Session:
     def deliver(self, outcome: PlanOutcome) -> None:
         """The answer to the last plan request."""
         self._out.inputs.append(("deliver", values_of(outcome)))
-        self._plan.deliver(outcome, self.now_s)
+        self._plan.deliver(outcome)
 
     def part_died(self, part: str, error: str) -> None:
         """The planner has failed, or another worker of the runtime has died."""
         self._out.inputs.append(("part_died", part, error))
         died = events.PlannerDied(time_s=self.now_s, error=f"{part}: {error}" if part else error)
         if part == "planner" and self._lockstep:
-            self._plan.deliver(died, self.now_s)
+            self._plan.deliver(died)
         else:
             self._handle(died)
 

@@ -15,7 +15,12 @@ from answers import answered
 from programs import BIN, Program, free_port
 from recorded import run_folder
 
+from companion import cli
+from companion.config import load_mission
+from companion.errors import FlightFailed
 from companion.runtime import loop
+from companion.session import Session
+from companion.telemetry.flight_summary import FlightSummary
 
 COMPANION = BIN / "companion"
 HILLS = Path(__file__).parent / "closed_loop" / "hills"
@@ -201,6 +206,14 @@ def test_no_vehicle_is_said_within_ten_seconds(command: str, tmp_path: Path) -> 
     assert ("no vehicle was heard within 10 s" in said) == (command == "fly")
     assert ("none was heard" in shown) == (command == "preflight")
     assert len(said.splitlines()) == 1
+
+
+def test_a_planner_that_dies_before_a_vehicle_is_heard_is_not_taken_for_a_lack_of_one() -> None:
+    session = Session(load_mission("valley"), seed=1, lockstep=False)
+    session.part_died("planner", "made up")
+    flown = FlightSummary(session=session, end=session.run().end)
+    with pytest.raises(FlightFailed, match="planner: made up"):
+        cli._exit_as_it_ended(flown, "udpin:127.0.0.1:1")
 
 
 WATCHED_ROWS = 150

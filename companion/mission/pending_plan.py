@@ -18,18 +18,19 @@ class PendingPlan:
         self._late_told = False
 
     def ask(self, due_s: float) -> None:
-        """A new request; the answer to the previous one is dropped."""
-        self.due_s, self._answer, self._late_told = due_s, None, False
+        """A new request; the answer to the previous one is dropped, but for its planner's death."""
+        if not isinstance(self._answer, PlannerDied):  # which nobody would answer
+            self.due_s, self._answer, self._late_told = due_s, None, False
 
     def forget(self) -> None:
         """No question."""
         self.ask(math.inf)
 
-    def deliver(self, answer: PlanOutcome | PlannerDied, now_s: float) -> None:
+    def deliver(self, answer: PlanOutcome | PlannerDied) -> None:
         """Take the answer; a dead planner is reported at once."""
         self._answer = answer
         if isinstance(answer, PlannerDied):
-            self.due_s = min(self.due_s, now_s)
+            self.due_s = -math.inf
 
     def is_missing(self, at_s: float) -> bool:
         """Whether the answer is due by then and missing."""

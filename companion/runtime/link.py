@@ -290,10 +290,10 @@ class StreamLink(Link):
 
     def close(self) -> None:
         """Close the stream for good, after what waits."""
-        self._next_s = math.inf
-        if self._stream is not None:
+        self._next_s, stream = math.inf, self._stream
+        if stream is not None:
             with self._lock:
-                self._flush(self._stream, all_of_it=True)
+                self._flush(stream, all_of_it=True)
         self._drop()
 
     def _drop(self) -> None:

@@ -179,7 +179,7 @@ class Loop:
         self._read()
         self._hear()
         out = self.session.run()
-        while out.awaits_plan and not self.leaving.is_set():
+        while out.awaits_plan and self._goes_on:  # a planner may hang, or may have died
             self._carry_out(out)
             self._hear(_POLL_S)
             self._heard_s = self.clock()  # the vehicle was not silent: it was made to wait

@@ -19,6 +19,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from typing import Final, final
@@ -136,7 +137,9 @@ class PlannerProcess:
     def _start(self) -> None:
         self._pipe, theirs = _SPAWN.Pipe()
         process = _SPAWN.Process(target=_main, args=(theirs, *self._does), daemon=True)
-        # Ctrl-C is this process's to decide about, from the child's beginning.
+        # Ctrl-C is this process's to decide about, from the child's beginning.  Before its first
+        # child multiprocessing starts a process that would let it through again.
+        resource_tracker.ensure_running()
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             process.start()

@@ -1,5 +1,6 @@
 """What planners in a process of their own may do; each is `plan`, or `prepare` before it."""
 
+import signal
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -13,6 +14,11 @@ def nothing() -> None:
 
 def comes_not_up() -> None:
     sys.exit(3)
+
+
+def cannot_hear_ctrl_c() -> None:
+    """Nor could it before its first line of ours."""
+    assert signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
 def is_noisy() -> None:

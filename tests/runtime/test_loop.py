@@ -7,13 +7,15 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from scripted_vehicle import MISSION, Vehicle, straight_plan
 from stub_session import QueueLink, StubSession, as_any
 
-from companion.mission.events import Outcome
+from companion.mission.events import Outcome, PlannerDied
+from companion.mission.pending_plan import PendingPlan
 from companion.mission.state import Reason
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.runtime import loop
@@ -180,6 +182,38 @@ def test_while_its_planner_is_loaded_it_sends_heartbeats_and_listens_to_ctrl_c_a
     assert beats_s[-1] > waited_s - 2.0
     assert beats_s[0] < 1.0
     assert max(after - before for before, after in pairwise(beats_s)) < 2.0
+
+
+def test_in_lockstep_a_person_ends_the_wait_for_a_plan_that_does_not_come() -> None:
+    link, waited_s, now_s = ScriptedLink(Vehicle()), 0.0, 0.0
+
+    def clock() -> float:
+        nonlocal now_s
+        now_s += 0.1
+        assert now_s < 1000.0, "the flight does not end"
+        return now_s
+
+    def wait(wait_s: float) -> None:
+        nonlocal waited_s
+        waited_s += wait_s
+
+    planner = SimpleNamespace(is_ready=True, answer=wait, ask=lambda _request: None)
+    session = Session(MISSION, seed=1, lockstep=True, go=True)
+    control = loop.Loop(
+        session, link, as_any(planner), lockstep=True, clock=clock, stop_asked=lambda: waited_s > 1
+    )
+    control.run()
+    assert control.flown.end is not None
+    assert control.flown.end.outcome is Outcome.STOPPED
+
+
+def test_in_lockstep_the_death_of_a_planner_outlasts_a_question_that_it_is_asked_then() -> None:
+    pending, died = PendingPlan(), PlannerDied(time_s=3.0, error="made up")
+    pending.ask(5.0)
+    pending.deliver(died)
+    pending.ask(9.0)
+    assert not pending.is_missing(10.0)
+    assert pending.take(0.0) is died  # whatever the clock: its autopilot may have rebooted
 
 
 @pytest.mark.parametrize(("starts_s", "heard"), [(6.0, True), (11.0, False)])

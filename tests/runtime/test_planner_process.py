@@ -134,6 +134,22 @@ def test_a_planner_does_not_outlive_a_companion_that_is_killed() -> None:
     assert (parent.returncode, parent.stderr) == (-signal.SIGKILL, b"")
 
 
+FIRST = """
+import odd_planners as odd
+from companion.runtime.planner_process import PlannerProcess
+planner = PlannerProcess(odd.echoes, odd.cannot_hear_ctrl_c)
+while not planner.is_ready:
+    planner.answer(1.0)
+planner.close()
+"""
+
+
+def test_ctrl_c_in_a_terminal_does_not_end_a_planner_that_is_being_started() -> None:
+    """Not the first process that is started, either, of which there may be one in a program."""
+    here = Path(__file__).parent
+    subprocess.run([sys.executable, "-c", FIRST], cwd=here, timeout=60, check=True)
+
+
 FACTORISED = """
 import os
 import companion.world.guess

@@ -59,6 +59,17 @@ def assert_goes_on(state: State, upper_m: Any) -> None:
     assert (state.flight.known.upper_m == upper_m).all()
 
 
+@pytest.mark.parametrize(("fallen_back", "goal"), [("LAND_ASKED", Goal.LAND), (None, Goal.TARGETS)])
+def test_an_older_companion_kept_no_order_that_was_being_carried_out(
+    fallen_back: str | None, goal: Goal
+) -> None:
+    """Told to land it still is, whoever breaks the landing off."""
+    values = in_flight() | {"phase": "LANDING", "standing": None, "set_aside": None}
+    values.pop("system_id")
+    state = checkpoint.restored(MISSION, BLANK, values | {"fallen_back": fallen_back})
+    assert (state.goal, state.paused) == (goal, False)
+
+
 def test_what_can_be_read_is_gone_on_with(folder: Path) -> None:
     """Terrain known in advance, too: without a radar nothing else would be flown over."""
     recalled, state = resumed(folder)
