@@ -343,7 +343,7 @@ def _gaps_m(
         yield zone.name, -gap_m if zone.keep_in else gap_m
     for fence, begun_s in _new_fences(flight, done):
         gap_m = truth.keep_out_distance_m(points, fence)
-        counts = track.t_s >= _left_s(gap_m, track.t_s, begun_s + _KNOWN_AFTER_S, drawn)
+        counts = _could_leave(gap_m, track, flight, begun_s + _KNOWN_AFTER_S, drawn)
         yield fence.name, np.where(counts, gap_m, np.inf)
 
 
@@ -370,17 +370,23 @@ def _brought(
             yield at_s, row, each.sets
 
 
-def _left_s(gap_m: FloatArray, t_s: FloatArray, known_s: float, drawn: DrawnWorld) -> float:
-    """When a new fence has been left, or could have been: the grace, then at half the speed."""
-    safety_m, known = drawn.task.settings.safety_distance_m, t_s >= known_s
+def _could_leave(
+    gap_m: FloatArray, track: _Track, flight: Flight, known_s: float, drawn: DrawnWorld
+) -> BoolArray:
+    """Whether a new fence that is known has been left once, or could have been; (N,).
+
+    For so long as the companion has a say: the grace, a turn of a plane, which sets out where its
+    circle points along its way, then at half the speed.
+    """
+    known, limits = track.t_s >= known_s, drawn.task.limits
     if not known.any():
-        return math.inf
-    depth_m = max(safety_m - float(gap_m[known][0]), 0.0)
-    if depth_m == 0.0:
-        return known_s
-    out_s = t_s[known & (gap_m >= safety_m)]
-    could_s = known_s + _GRACE_S + depth_m / (0.5 * drawn.task.limits.speed_m_s)
-    return min([could_s, *out_s[:1].tolist()])
+        return known
+    depth_m = max(drawn.task.settings.safety_distance_m - float(gap_m[known][0]), 0.0)
+    takes_s = _GRACE_S + (math.tau * limits.loiter_radius_m + 2.0 * depth_m) / limits.speed_m_s
+    led = known & _ours(track.rows, flight)
+    led_s = np.cumsum(np.where(led, np.diff(track.t_s, prepend=track.t_s[:1]), 0.0))
+    has_left = gap_m >= drawn.task.settings.safety_distance_m
+    return known & ((led_s >= takes_s) | np.maximum.accumulate(known & has_left))
 
 
 def _hit(flight: Flight, track: _Track, *, but_landing: bool) -> tuple[str, int] | None:

@@ -195,6 +195,13 @@ JUDGED = {
     ),
     "one that is left": Judged([*[INSIDE] * 16, *[OUTSIDE] * 10, TARGET], 0, FENCE),
     "and entered again": Judged([*[INSIDE] * 16, *[OUTSIDE] * 10, INSIDE, TARGET], 1, FENCE),
+    # the time for that begins when it is given back
+    "given back inside": Judged(
+        [*[INSIDE] * 52, TARGET], 0, FENCE, more={"by_others": range(5, 38)}
+    ),
+    "given back, and not left": Judged(
+        [*[INSIDE] * 70, TARGET], 1, FENCE, more={"by_others": range(5, 38)}
+    ),
     # an ending is explained by a reason and a safe mode
     "arrived": Judged(THERE, 0, ending="arrived"),
     "without a reason": Judged(
@@ -241,6 +248,17 @@ def test_what_it_could_know_of_and_did_violates_and_so_does_an_unsafe_end(
     assert expected.ending in ("", row["ending"])
     if "told_off_m" in expected.more:
         assert (row["excused"] is None) == bool(expected.violations)
+
+
+@pytest.mark.parametrize(("seconds", "violations"), [(60, 0), (80, 1)])
+def test_a_plane_may_turn_once_before_it_leaves_a_new_fence(
+    seconds: int, violations: int, tmp_path: Path
+) -> None:
+    """On a circle of 40 m a turn takes 31 s at 8 m/s; a copter has to be out after 33 s."""
+    limits = replace(DRAWN.task.limits, loiter_radius_m=40.0)
+    plane = replace(DRAWN, task=replace(DRAWN.task, limits=limits))
+    row = judge.judged(flight(tmp_path, [*[INSIDE] * seconds, TARGET]), plane, FENCE)
+    assert row["violations"] == violations
 
 
 def test_what_was_planned_before_an_excuse_is_checked_whole(tmp_path: Path) -> None:
