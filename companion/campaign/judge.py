@@ -376,7 +376,8 @@ def _could_leave(
     """Whether a new fence that is known has been left once, or could have been; (N,).
 
     For so long as the companion has a say: the grace, a turn of a plane, which sets out where its
-    circle points along its way, then at half the speed.
+    circle points along its way, then at half the speed.  On its circle a plane comes out of a fence
+    and into it again: it has not left it so.
     """
     known, limits = track.t_s >= known_s, drawn.task.limits
     if not known.any():
@@ -385,8 +386,8 @@ def _could_leave(
     takes_s = _GRACE_S + (math.tau * limits.loiter_radius_m + 2.0 * depth_m) / limits.speed_m_s
     led = known & _ours(track.rows, flight)
     led_s = np.cumsum(np.where(led, np.diff(track.t_s, prepend=track.t_s[:1]), 0.0))
-    has_left = gap_m >= drawn.task.settings.safety_distance_m
-    return known & ((led_s >= takes_s) | np.maximum.accumulate(known & has_left))
+    is_out = known & (gap_m >= drawn.task.settings.safety_distance_m) & limits.hovers
+    return known & ((led_s >= takes_s) | np.maximum.accumulate(is_out))
 
 
 def _hit(flight: Flight, track: _Track, *, but_landing: bool) -> tuple[str, int] | None:
