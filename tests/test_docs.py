@@ -145,6 +145,14 @@ def test_every_page_that_is_named_is_in_the_repository() -> None:
         assert set(re.findall(r"[\w-]+\.md\b", text)) <= pages, path
 
 
+def test_every_file_that_engineers_are_sent_to_is_there() -> None:
+    for page in ("CONTRIBUTING.md", "docs/architecture.md"):
+        text = (ROOT / page).read_text(encoding="utf-8")
+        places = r"`((?:companion|vehicle_sim|tests|scripts|requirements|docs)/[\w./-]*)`"
+        named = re.findall(places, text.partition("## Budget")[0])
+        assert named and [each for each in named if not (ROOT / each).exists()] == [], page
+
+
 def test_nothing_names_a_place_outside_the_repository() -> None:
     beside = "sha" + "red"  # this page says it itself
     outside = re.compile(rf"\.\./{beside}|{beside}/(telemetry|reference)|/wo[r]k/|/roo[t]/")
