@@ -125,6 +125,15 @@ def test_a_command_of_the_pages_does_what_it_says(
     assert shown.strip()
 
 
+def test_the_mission_of_the_readme_can_be_flown(tmp_path: Path) -> None:
+    page = (ROOT / "README.md").read_text(encoding="utf-8")
+    (mission,) = re.findall(r"^```toml\n(.*?)^```", page, re.M | re.S)
+    (tmp_path / "mission.toml").write_text(mission, encoding="utf-8")
+    code, shown, said = answered("check", str(tmp_path / "mission.toml"))
+    assert (code, said) == (0, "")
+    assert "land there" in shown
+
+
 def texts() -> list[tuple[Path, str]]:
     """Everything that people wrote in this repository."""
     folders = ("companion", "vehicle_sim", "tests", "scripts", "docs", ".ci")
