@@ -162,6 +162,13 @@ def test_every_file_that_engineers_are_sent_to_is_there() -> None:
         assert named and [each for each in named if not (ROOT / each).exists()] == [], page
 
 
+def test_the_deciding_path_is_read_in_an_afternoon() -> None:
+    page = (ROOT / "docs/architecture.md").read_text(encoding="utf-8")
+    path = re.findall(r"^\d+\. `([\w/.]+)`", page, re.M)
+    long = sum(len((ROOT / "companion" / each).read_text("utf-8").splitlines()) for each in path)
+    assert (len(path), long < 5000) == (14, True)
+
+
 def test_nothing_names_a_place_outside_the_repository() -> None:
     beside = "sha" + "red"  # this page says it itself
     outside = re.compile(rf"\.\./{beside}|{beside}/(telemetry|reference)|/wo[r]k/|/roo[t]/")
