@@ -10,7 +10,7 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from companion.campaign.simulator import simulator
+from companion.campaign.in_process import simulator
 from companion.mavlink.autopilots import named
 from companion.mission.events import Mode
 

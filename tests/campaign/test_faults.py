@@ -1,5 +1,6 @@
 """What is drawn to go wrong, and how flights with it are judged."""
 
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -8,9 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from companion.campaign import drawn_faults, drawn_world, families, judge, simulator
+from companion.campaign import drawn_faults, drawn_world, families, in_process, judge
 from companion.campaign.drawn_faults import FAMILIES, FaultScript, Subject, ways
-from companion.campaign.drawn_world import mission_of
 from companion.campaign.in_process import Flight
 from companion.config import load_mission
 from companion.errors import InputError
@@ -20,7 +20,8 @@ from vehicle_sim.faults import COMPANION_OFF, FAULTS, Drawn, Fault, Known, Timel
 
 VEHICLES = ("ardupilot-copter", "ardupilot-plane", "px4-copter", "px4-plane")
 DRAWN = families.world("short-copter", 1, 0)
-MISSION = mission_of(DRAWN)
+with tempfile.TemporaryDirectory() as _folder:
+    MISSION = load_mission(str(drawn_world.write(DRAWN, Path(_folder))[1]))
 HIGH_M = 1_500.0
 TARGET = DRAWN.targets_ne_m[-1]
 
@@ -90,9 +91,9 @@ def test_without_a_simulator_that_can_say_what_may_go_wrong_there_is_none(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     older = [SimpleNamespace(load=lambda: print)]
-    monkeypatch.setattr(simulator, "entry_points", lambda **_: older)
+    monkeypatch.setattr(in_process, "entry_points", lambda **_: older)
     with pytest.raises(InputError, match="Install the project again"):
-        simulator.simulator.__wrapped__()
+        in_process.simulator.__wrapped__()
 
 
 # --- the judge

@@ -4,17 +4,14 @@ import html
 import json
 import re
 import shlex
-from dataclasses import asdict
 from pathlib import Path
 
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from answers import answered
 from campaign_rows import paired_rows, row
 
 from companion.campaign.report import read_campaign, report_of
-from companion.campaign.store import Row, schema
+from companion.campaign.store import Row, table
 
 SOURCE = ["a campaign.toml", "--seeds", "3"]
 EVIL = "</pre></svg><script>alert('x')</script>"
@@ -23,8 +20,7 @@ EVIL = "</pre></svg><script>alert('x')</script>"
 def campaign(folder: Path, rows: list[Row], expected: int | None = None) -> Path:
     (folder / "rows").mkdir(parents=True)
     for at in range(0, len(rows), 30):
-        table = pa.Table.from_pylist([asdict(each) for each in rows[at : at + 30]], schema())
-        pq.write_table(table, folder / "rows" / f"part-{at:06d}.parquet")
+        table(rows[at : at + 30]).write_parquet(folder / "rows" / f"part-{at:06d}.parquet")
     count = len(rows) if expected is None else expected
     facts = {"digest": "x", "runs": count, "source": SOURCE}
     (folder / "runs.json").write_text(json.dumps(facts))
