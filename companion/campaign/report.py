@@ -1,8 +1,8 @@
 """What a campaign came to, as tables for a page and for the terminal, and as CSV."""
 
 import shlex
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -191,12 +191,12 @@ def _worst(campaign: Campaign) -> list[Sheet]:
     why = why.with_columns(runs=pl.len().over("outcome", "reason")).unique(
         ["outcome", "reason"], keep="first", maintain_order=True
     )
-    found = {
+    found: dict[str, tuple[pl.DataFrame, Callable[[Row], str]]] = {
         "Violations": (
             rows.filter(pl.col("violations") > 0).sort(-pl.col("violations"), maintain_order=True),
             lambda row: f"{row['violations']}: {row['violated'] or 'not said which'}",
         ),
-        "Errors": (rows.filter(error.is_not_null()), lambda row: row["error"]),
+        "Errors": (rows.filter(error.is_not_null()), lambda row: str(row["error"])),
         "Not arrived": (
             why.sort("runs", descending=True, maintain_order=True),
             lambda row: (
@@ -267,4 +267,5 @@ def report_html(report: Report) -> str:
 def figures_csv(report: Report) -> str:
     """Every figure of the report: rates, medians, and differences in pairs."""
     figures = [asdict(each) | {"measure": each.measure.name} for each in report.figures]
-    return pl.DataFrame(figures, infer_schema_length=None).write_csv()
+    columns = [each.name for each in fields(Figure)]
+    return pl.DataFrame(figures, columns, infer_schema_length=None).write_csv()

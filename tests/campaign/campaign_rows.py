@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from companion.campaign.store import Row
+from companion.campaign.store import COLUMNS, Row
 
 BASE: Row = {
     "world": "hill",
@@ -26,7 +26,14 @@ BASE: Row = {
 
 
 def row(run: int, **values: object) -> Row:
-    return {**BASE, "run": run, "key": f"hill/{run}", "seed": run, **values}
+    return {
+        **dict.fromkeys(COLUMNS),
+        **BASE,
+        "run": run,
+        "key": f"hill/{run}",
+        "seed": run,
+        **values,
+    }
 
 
 def paired_rows(count: int = 40) -> list[Row]:

@@ -69,8 +69,8 @@ def test_pairs_are_counted_and_the_difference_is_their_median_in_per_cent() -> N
     assert (figures, notes) == pairs(table(rows), ["optimiser"])
     cost, arrived = of(figures, "cost"), of(figures, "arrived")
     assert (cost.group, cost.against, cost.n, arrived.n) == ("l-shade", "refined-de", 37, 40)
-    first, second = np.array([(a["cost"], b["cost"]) for a, b in zip(rows[::2], rows[1::2], strict=True)
-                              if b["cost"] is not None]).T  # fmt: skip
+    costs = [(a["cost"], b["cost"]) for a, b in zip(rows[::2], rows[1::2], strict=True)]
+    first, second = np.array([both for both in costs if None not in both]).T
     assert cost.value == pytest.approx(100.0 * np.median(second / first - 1.0))
     assert (cost.wins, cost.ties, cost.losses) == (sum(second < first), 0, sum(second > first))
     assert cost.p_holm < 0.05
