@@ -102,7 +102,6 @@ class Flight:
     plans_s: list[float]
     told: FloatArray
     """Positions that the companion was told: when, of what time, north, east, altitude; (K, 5)."""
-    folder: Path
 
 
 def _vehicle(files: FlightFiles, seed: int) -> Vehicle:
@@ -196,7 +195,6 @@ class Flying:
             truth=_lines_with("t_s", folder / "truth.jsonl"),
             plans_s=self.loop.flown.plans_s,
             told=np.array(self._told).reshape(-1, 5),
-            folder=folder,
         )
 
 

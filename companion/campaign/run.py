@@ -218,8 +218,7 @@ def _files(run: Run, folder: Path) -> FlightFiles:
         of = mission["vehicle"]
         autopilot = of.get("autopilot") or world["vehicle"]["autopilot"]
         vehicle = f"{autopilot}-{of['kind']}".replace("ideal", "ardupilot")
-        subject = drawn_faults.Subject(vehicle=vehicle, speed_m_s=of["speed_m_s"])
-        name, more = drawn_faults.drawn(run.script, subject)
+        name, more = drawn_faults.drawn(run.script, vehicle, of["speed_m_s"])
         lines.append(more)
     given = folder / "asked"  # mission.toml of a run folder is written by who flies
     given.mkdir()

@@ -126,7 +126,7 @@ class Store:
                 # what a killed process was writing: it has the lock no more
                 for path in (*folder.glob(f"{ROWS}/.*.new"), *folder.glob("runs/.new-*")):
                     shutil.rmtree(path) if path.is_dir() else path.unlink()
-                self.done = set(read_rows("--out", folder)["run"])
+                self.done = set(read_rows("--out", folder, "run")["run"])
                 """The runs whose rows are written."""
             except BlockingIOError:
                 raise self._refused("another process is at this campaign") from None
@@ -169,20 +169,27 @@ def table(rows: Sequence[Row]) -> "pl.DataFrame":
     return pl.DataFrame(rows, COLUMNS, orient="row")
 
 
-def read_rows(field: str, folder: Path) -> "pl.DataFrame":
-    """All rows that are there, by their numbers.  InputError about the field."""
+def read_rows(field: str, folder: Path, *columns: str) -> "pl.DataFrame":
+    """All rows that are there, by their numbers, or some columns of them.
+
+    InputError about the field.
+    """
     import polars as pl
 
-    parts = sorted((folder / ROWS).glob("*.parquet"))
-    try:  # another version may have written some columns more, or not all
-        found = pl.concat([table([]), *map(pl.read_parquet, parts)], how="diagonal").select(
-            *COLUMNS
-        )
-    except (OSError, pl.exceptions.PolarsError) as error:
-        rule = f"its rows cannot be read ({str(error).splitlines()[0].rstrip('.')})"
-        remedy = "Remove that part: the command that began the campaign flies its runs again."
-        raise InputError(field, str(folder), rule, remedy) from error
-    return found.unique("run", keep="first").sort("run")
+    empty = table([])
+    # another version may have written some columns more, or not all
+    others: Any = {"missing_columns": "insert", "extra_columns": "ignore"}
+    found = [empty.select(columns or [*COLUMNS])]
+    for part in sorted((folder / ROWS).glob("*.parquet")):
+        try:
+            scan = pl.scan_parquet(part, schema=empty.schema, **others)
+            found.append(scan.select(columns or [*COLUMNS]).collect())
+        except (OSError, pl.exceptions.PolarsError) as error:
+            why = str(error).splitlines()[0].rstrip(".")
+            rule = f"its rows cannot be read ({part.name}: {why})"
+            remedy = "Remove that part: the command that began the campaign flies its runs again."
+            raise InputError(field, str(folder), rule, remedy) from error
+    return pl.concat(found).unique("run", keep="first").sort("run")
 
 
 def facts_of(folder: Path) -> dict[str, Any]:

@@ -113,7 +113,7 @@ def test_wrong_input_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         ("nowhere",): "it holds no campaign",
         ("c", "--by", "colour"): "no such factor. Choose from: world,",
         ("c", "--html", "no/such/x.html"): "not written",
-        ("damaged",): "cannot be read",
+        ("damaged",): "cannot be read (part-000000.parquet: ",
     }.items():
         code, _, said = answered("campaign", "report", *arguments)
         assert code == 2

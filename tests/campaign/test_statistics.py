@@ -9,12 +9,9 @@ import pytest
 from campaign_rows import paired_rows, row
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import binom, t
 
-from companion.campaign.statistics import Figure, bootstrapped, groups, holm, pairs, rate
+from companion.campaign.statistics import Figure, groups, holm, pairs, rate
 from companion.campaign.store import Row, table
-
-DRAWS = 400
 
 
 def of(figures: list[Figure], measure: str) -> Figure:
@@ -39,16 +36,6 @@ def test_the_interval_of_a_rate_holds_the_rates_that_its_score_test_does_not_rej
             assert apart == pytest.approx(0.0, abs=1e-6 * runs**2)
         else:
             assert end == pytest.approx(value, abs=1e-12)
-
-
-def test_bootstrap_intervals_cover_the_truth_as_often_as_they_say() -> None:
-    size, rng = 60, np.random.default_rng(11)
-    found = [bootstrapped(np.mean, rng.normal(size=size)) for _ in range(DRAWS)]
-    inside = sum(low <= 0 <= high for _, low, high in found)
-    # A bootstrap of n values takes z for t and n for n - 1: what that covers is known.
-    covers = 1.0 - 2.0 * t.sf(1.96 * math.sqrt((size - 1) / size), size - 1)
-    low, high = binom.ppf([0.001, 0.999], DRAWS, [covers - 0.01, 0.96])
-    assert low <= inside <= high, inside
 
 
 def test_a_group_has_its_rates_and_its_medians() -> None:
