@@ -55,7 +55,7 @@ _CHOICE: Final = re.compile(r"\[([^]]*)\]")
 
 
 def drawn(script: FaultScript, vehicle: str, speed_m_s: float) -> tuple[str, str]:
-    """What it is called, and its timeline, for an `ardupilot-copter` or the like of such a speed."""
+    """What it is called, and its timeline.  vehicle: `ardupilot-copter`, ..."""
     lines_of = {w.name: w.line for w in ways() if not (w.not_on and vehicle.startswith(w.not_on))}
     names = list(lines_of)
     rng = np.random.default_rng((FAMILIES.index(script.family), script.seed, script.index))

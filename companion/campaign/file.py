@@ -34,9 +34,9 @@ Vehicle = Literal["ardupilot-copter", "ardupilot-plane", "px4-copter", "px4-plan
 
 _NONE: Final = "none"
 _MOST_RUNS: Final = 1_000_000
-CHOSEN: Final = ("sensor", "faults", "wind", "noise")
+_CHOSEN: Final = ("sensor", "faults", "wind", "noise")
 """Factors whose values are names of choices."""
-_OF_FLIGHTS: Final = ("vehicle", *CHOSEN)
+_OF_FLIGHTS: Final = ("vehicle", *_CHOSEN)
 _OF_PLANNERS: Final = ("planner", "knowledge")
 _LEAVE_OUT: Final = "Leave it out."
 _Count = Annotated[int, Field(ge=1, le=1_000_000)]
@@ -159,8 +159,8 @@ class CampaignTable(Table):
     def broken(self) -> Iterator[Broken]:
         """Every choice is known, and everything that is said has an effect."""
         names = [choice.name for choice in self.choices]
-        asked = {key: getattr(self.factors, key) or () for key in CHOSEN}
-        for key, name in ((factor, name) for factor in CHOSEN for name in asked[factor]):
+        asked = {key: getattr(self.factors, key) or () for key in _CHOSEN}
+        for key, name in ((factor, name) for factor in _CHOSEN for name in asked[factor]):
             if name not in (_NONE, *names):
                 remedy = f"Add it. There are: {', '.join([_NONE, *names])}."
                 yield f"factors.{key}", name, "there is none of this name among choices", remedy
@@ -168,7 +168,7 @@ class CampaignTable(Table):
             if name in (_NONE, *names[:k]):
                 yield f"choices[{k}].name", name, "it stands for another already", "Rename it."
             if name not in itertools.chain(*asked.values()):
-                rule = f"no factor ({', '.join(CHOSEN)}) asks for it"
+                rule = f"no factor ({', '.join(_CHOSEN)}) asks for it"
                 yield f"choices[{k}].name", name, rule, _LEAVE_OUT
         yield from self._idle()
 
@@ -258,7 +258,7 @@ def runs_of(campaign: CampaignTable, folder: Path) -> list[Run]:
             limit_s=campaign.limit_s,
             factors=given,
             script=script if isinstance(script, FaultScript) else None,
-            choices=tuple(c for k in CHOSEN for c in campaign.choices if c.name == given.get(k)),
+            choices=tuple(c for k in _CHOSEN for c in campaign.choices if c.name == given.get(k)),
         )
         runs.append(run)
     return runs

@@ -14,6 +14,7 @@ from companion.campaign.drawn_faults import FAMILIES, FaultScript, ways
 from companion.campaign.in_process import Flight
 from companion.config import load_mission
 from companion.errors import InputError
+from companion.mission.state import Reason
 from companion.world.zones import CircleZone
 from vehicle_sim import faults
 from vehicle_sim.faults import COMPANION_OFF, FAULTS, Drawn, Fault, Known, Timeline, conditions_of
@@ -152,6 +153,8 @@ FENCE, AWAY = "at 2.0 s: ground_fence 30 m", (TARGET[0] - 200.0, TARGET[1])
 TOO_LOW = "at 0 s: radar_noise 5 m either_way"
 SILENT = {"outcome": "failed", "reason": "the vehicle fell silent"}
 HELD = {"mode": "BRAKE", "outcome": "failed", "reason": "no way"}
+TAKEN = {"mode": "LOITER", "outcome": "failed", "reason": Reason.MODE_TAKEN.text}
+WIND = "at 0.1 s: turbulence 1 m/s"
 DISARMED = {"outcome": "failed", "reason": "the vehicle disarmed"}
 NEAR = [*[beside(0.0)] * 3, TARGET]
 TWICE = [*[beside(0.0)] * 3, *[TARGET] * 5, *[beside(0.0)] * 10, TARGET]
@@ -214,18 +217,16 @@ JUDGED = {
     "out of reach for a minute": Judged(
         THERE, 0, "at 100 ms for 1 min: link_off", more=SILENT, ending="held for good"
     ),
-    "disarmed in the last tick": Judged(
-        THERE, 0, "at 0.1 s: turbulence 1 m/s", more=DISARMED, ending="landed"
-    ),
+    "taken by a pilot": Judged(THERE, 0, WIND, more=TAKEN, ending="let go"),
+    "brought home": Judged(THERE, 0, WIND, more=TAKEN | {"mode": "RTL"}, ending="returned"),
+    "disarmed in the last tick": Judged(THERE, 0, WIND, more=DISARMED, ending="landed"),
     "without an end": Judged(THERE, 1, more={"kind": "say"}, ending="unexplained: no end"),
     "arrived elsewhere": Judged([AWAY] * 3, 1, ending="unexplained: arrived elsewhere"),
     "where its target was moved to": Judged(
         [AWAY] * 3, 0, "at 1.0 s: ground_target 1 m north 1 m east", ending="arrived"
     ),
     "held with nothing wrong": Judged(THERE, 1, more=HELD, ending="held for good"),
-    "held in wind": Judged(
-        THERE, 0, "at 0.1 s: turbulence 1 m/s", more=HELD, ending="held for good"
-    ),
+    "held in wind": Judged(THERE, 0, WIND, more=HELD, ending="held for good"),
 }
 
 

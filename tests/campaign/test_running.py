@@ -138,6 +138,7 @@ def test_killed_and_started_again_it_is_as_if_it_had_not_been(
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as first:
         wait_until(lambda: list((out / "rows").glob("part-*.parquet")))
         first.kill()
+    assert (out / "campaign.toml").read_text() == PLANNED
     there = len(read_campaign(out).rows)
     monkeypatch.setattr("companion.campaign.execute.fly", fly_in_this_process)
     campaign_command(*command[4:])
