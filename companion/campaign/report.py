@@ -266,6 +266,9 @@ def report_html(report: Report) -> str:
 
 def figures_csv(report: Report) -> str:
     """Every figure of the report: rates, medians, and differences in pairs."""
-    figures = [asdict(each) | {"measure": each.measure.name} for each in report.figures]
+    figures = [
+        asdict(each) | {"by": each.by or None, "measure": each.measure.name}
+        for each in report.figures
+    ]
     columns = [each.name for each in fields(Figure)]
     return pl.DataFrame(figures, columns, infer_schema_length=None).write_csv()

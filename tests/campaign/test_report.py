@@ -10,7 +10,7 @@ import pytest
 from answers import answered
 from campaign_rows import paired_rows, row
 
-from companion.campaign.report import read_campaign, report_of
+from companion.campaign.report import figures_csv, read_campaign, report_of
 from companion.campaign.store import Row, table
 
 SOURCE = ["a campaign.toml", "--seeds", "3"]
@@ -102,6 +102,19 @@ def test_the_worst_runs_are_listed_with_a_command_that_shows_them_again(tmp_path
     assert replay == ["companion", "replay", str(folder / "runs/000030")]
     again = ["companion", "campaign", "run", *SOURCE, "--only", "31"]
     assert shlex.split(sheets["Least clearance: 10 of 36"][0][3])[: len(again)] == again
+
+
+@pytest.mark.parametrize(("family", "shown"), [("dense", []), ("spread", ["By family_index"])])
+def test_which_world_of_a_family_it_is_has_a_table_only_where_that_is_how_much_stands_in_it(
+    tmp_path: Path, family: str, shown: list[str]
+) -> None:
+    rows = [row(n, family=family, family_index=n % 3) for n in range(12)]
+    report = report_of(read_campaign(campaign(tmp_path / "c", rows)))
+    assert [sheet.title for sheet in report.tables] == ["All runs", *shown]
+    lines = figures_csv(report).splitlines()
+    assert lines[0].startswith("by,group,against,measure,n,value,low,high,wins")
+    assert lines[1].startswith(",all,,arrived,12,1.0,")
+    assert len(lines) == 1 + len(report.figures)
 
 
 def test_wrong_input_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
