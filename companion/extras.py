@@ -9,7 +9,7 @@ from companion.errors import InputError
 
 PACKAGES = {
     "view": ("trimesh", "viser"),
-    "campaign": ("dask", "distributed", "pyarrow"),
+    "campaign": ("dask", "distributed", "polars"),
     "compare": ("ompl",),
 }
 """What each extra of pyproject.toml brings, by the names that are imported."""

@@ -27,7 +27,7 @@ import {modules}
     [
         ("fly", "companion.cli, vehicle_sim.server"),
         ("view", "companion.live_view.server"),
-        ("campaign", "companion.campaign.store, distributed, pyarrow"),
+        ("campaign", "companion.campaign.store, distributed, polars"),
         ("compare", "ompl"),
     ],
 )

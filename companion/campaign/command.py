@@ -4,17 +4,16 @@ import contextlib
 import hashlib
 import time
 from collections import Counter
-from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from companion.campaign import bundled_campaigns
 from companion.campaign.store import Row, Store
 from companion.errors import InputError
+from companion.extras import need
 from companion.runtime.processes import processors
 from companion.sources.files import writing
 from companion.views.output import plain_console
@@ -23,9 +22,6 @@ if TYPE_CHECKING:
     from companion.campaign.file import Run
 
 _INTERRUPTED = 130
-_WRITE_S = 2.0
-"""Rows are written when so much time has passed, or so many are there."""
-_WRITE_ROWS = 500
 
 campaign_app = typer.Typer(
     no_args_is_help=True,
@@ -37,10 +33,16 @@ _BUNDLED = f"A campaign file, or a bundled name: {', '.join(bundled_campaigns())
 _OUT = "Folder to write; by default campaigns/NAME.  What is there is gone on with."
 _JOBS = "Runs at a time; by default as many as cores."
 _SCHEDULER = "A Dask scheduler, tcp://host:8786, to fly on its workers."
+_KEEP = "Run folders to keep: *all*, *failures* or *none*."
+_SEEDS = "Runs of each combination, in place of the file's."
+_MOST = "At most so many of the runs, evenly chosen."
+_ONLY = "This run alone, by its number.  May be repeated."
+_FOLDER = "The folder of a campaign, ended or not."
 _BY = (
     "Group by this factor; may be repeated, for groups by several together. By default by each "
     "that varies."
 )
+_HTML = "Page to write; by default FOLDER/report.html."
 _CSV = "Write all figures to FILE; the rows are in the folder, as Parquet."
 
 
@@ -50,18 +52,10 @@ def run_command(
     out: Annotated[Path | None, Option(help=_OUT)] = None,
     jobs: Annotated[int | None, Option(min=1, help=_JOBS)] = None,
     scheduler: Annotated[str | None, Option(metavar="ADDRESS", help=_SCHEDULER)] = None,
-    keep: Annotated[
-        str | None, Option(help="Run folders to keep: *all*, *failures* or *none*.")
-    ] = None,
-    seeds: Annotated[
-        int | None, Option(min=1, help="Runs of each combination, in place of the file's.")
-    ] = None,
-    most: Annotated[
-        int | None, Option(min=1, help="At most so many of the runs, evenly chosen.")
-    ] = None,
-    only: Annotated[
-        list[int] | None, Option(min=0, help="This run alone, by its number.  May be repeated.")
-    ] = None,
+    keep: Annotated[str | None, Option(help=_KEEP)] = None,
+    seeds: Annotated[int | None, Option(min=1, help=_SEEDS)] = None,
+    most: Annotated[int | None, Option(min=1, help=_MOST)] = None,
+    only: Annotated[list[int] | None, Option(min=0, help=_ONLY)] = None,
 ) -> None:
     """Fly all runs of a campaign; rows are written to a Parquet data set as they come.
 
@@ -81,34 +75,34 @@ def run_command(
     table, text, folder = file.load_campaign(campaign, given)
     runs = _chosen(file.runs_of(table, folder), most, only)
     run.check_runs(runs, campaign)
-    console, began_s = plain_console(soft_wrap=True), time.perf_counter()
+    console, began_s, counts = plain_console(soft_wrap=True), time.perf_counter(), Counter[str]()
     path = (out or Path("campaigns") / table.name).absolute()
     digest = hashlib.sha256("\n".join(map(repr, runs)).encode()).hexdigest()
     source = [campaign if campaign in bundled_campaigns() else str(Path(campaign).absolute())]
     source += [] if seeds is None else ["--seeds", str(seeds)]
-    with Store(path, text=text, digest=digest, count=len(runs), source=source) as store:
-        todo = [each for each in runs if each.number not in store.done]
-        if len(todo) < len(runs):
-            console.print(f"{len(runs) - len(todo)} of {len(runs)} runs are there already")
-        rows, counts = execute.fly(todo, path, scheduler, jobs or processors()), Counter[str]()
-        written, bar = _in_batches(rows, store), _bar(table.name, len(runs), console)
-        try:
-            with contextlib.closing(rows), contextlib.closing(written), bar:
-                for some in written:
-                    counts.update(map(_what, some))
-                    bar.update(bar.task_ids[0], completed=len(store.done), said=_said(counts))
-        except KeyboardInterrupt:
-            console.print(
-                f"stopped: {len(store.done)} of {len(runs)} runs are there. "
-                "The same command goes on."
-            )
-            raise typer.Exit(_INTERRUPTED) from None
-        except OSError as error:
-            rule = f"{error.filename or path} cannot be written to ({error.strerror or error})"
-            remedy = (
-                f"Make room: the same command goes on from {len(store.done)} of {len(runs)} runs."
-            )
-            raise InputError("--out", str(path), rule, remedy) from error
+    store = Store(path, text=text, digest=digest, count=len(runs), source=source)
+    todo = [each for each in runs if each.number not in store.done]
+    if len(todo) < len(runs):
+        console.print(f"{len(runs) - len(todo)} of {len(runs)} runs are there already")
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+               TimeRemainingColumn(), TextColumn("{task.fields[said]}"))  # fmt: skip
+    rows = execute.fly(todo, path, scheduler, jobs or processors())
+    bar = Progress(*columns, console=console, transient=True)
+    shown = bar.add_task(table.name, total=len(runs), completed=len(store.done), said="")
+    try:
+        with store, contextlib.closing(rows), bar:
+            for row in rows:
+                store.add(row)
+                counts[_what(row)] += 1
+                bar.update(shown, advance=1, said=_said(counts))
+    except KeyboardInterrupt:
+        there = f"{len(store.done)} of {len(runs)} runs are there"
+        console.print(f"stopped: {there}. The same command goes on.")
+        raise typer.Exit(_INTERRUPTED) from None
+    except OSError as error:
+        rule = f"{error.filename or path} cannot be written to ({error.strerror or error})"
+        remedy = f"Make room: the same command goes on from {len(store.done)} of {len(runs)} runs."
+        raise InputError("--out", str(path), rule, remedy) from error
     took_s = time.perf_counter() - began_s
     said = _said(counts) or "nothing to do"
     console.print(f"{len(todo)} runs in {took_s:.0f} s: {said}", highlight=False)
@@ -125,36 +119,12 @@ def _chosen(runs: list["Run"], most: int | None, only: list[int] | None) -> list
     return [runs[k * len(runs) // most] for k in range(most)]
 
 
-def _bar(campaign: str, count: int, console: Console) -> Progress:
-    """How far a campaign is."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-               TimeRemainingColumn(), TextColumn("{task.fields[said]}"))  # fmt: skip
-    bar = Progress(*columns, console=console, transient=True)
-    bar.add_task(campaign, total=count, said="")
-    return bar
-
-
-def _in_batches(rows: Iterator[Row], store: Store) -> Generator[list[Row]]:
-    """Rows as they come, once they are written; before something that goes wrong, too."""
-    waiting, written_s = list[Row](), time.monotonic()
-    try:
-        for row in rows:
-            waiting.append(row)
-            if time.monotonic() - written_s >= _WRITE_S or len(waiting) >= _WRITE_ROWS:
-                store.add(waiting)
-                yield waiting
-                waiting, written_s = [], time.monotonic()
-    finally:
-        store.add(waiting)
-    yield waiting
-
-
 def _what(row: Row) -> str:
-    if row.error is not None:
+    if row.get("error") is not None:
         return "errors"
-    if row.violations:
+    if row.get("violations"):
         return "with violations"
-    return "arrived" if row.arrived else "not arrived"
+    return "arrived" if row["arrived"] else "not arrived"
 
 
 def _said(counts: Counter[str]) -> str:
@@ -163,13 +133,9 @@ def _said(counts: Counter[str]) -> str:
 
 @campaign_app.command("report")
 def report_command(
-    folder: Annotated[
-        Path, typer.Argument(metavar="FOLDER", help="The folder of a campaign, ended or not.")
-    ],
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help=_FOLDER)],
     by: Annotated[list[str] | None, Option(metavar="FACTOR", help=_BY)] = None,
-    html: Annotated[
-        Path | None, Option(metavar="FILE", help="Page to write; by default FOLDER/report.html.")
-    ] = None,
+    html: Annotated[Path | None, Option(metavar="FILE", help=_HTML)] = None,
     csv: Annotated[Path | None, Option(metavar="FILE", help=_CSV)] = None,
 ) -> None:
     """Say what a campaign came to: rates, costs, comparisons in pairs, the worst runs.
@@ -177,6 +143,7 @@ def report_command(
     Groups are compared with the first of the campaign, in runs of the same world and seed. The
     page is one file that opens without a network, and prints.
     """
+    need("campaign", "FOLDER", str(folder))
     from companion.campaign import report as campaign  # slow to import
 
     console = plain_console(soft_wrap=True)

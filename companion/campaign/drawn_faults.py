@@ -10,7 +10,7 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from companion.campaign.simulator import simulator
+from companion.campaign.in_process import simulator
 from companion.mavlink.autopilots import named
 from companion.mission.events import Mode
 
@@ -36,14 +36,6 @@ class FaultScript:
         return f"{self.family}-{self.seed}/{self.index}"
 
 
-class Subject(NamedTuple):
-    """What a script is drawn for."""
-
-    vehicle: str
-    """`ardupilot-copter`, ..."""
-    speed_m_s: float
-
-
 class Way(NamedTuple):
     """In which a fault is drawn: lines of a timeline, one after the other, from some moment on."""
 
@@ -55,10 +47,6 @@ class Way(NamedTuple):
     not_on: str
     """Who cannot have it: a vehicle, or the firmware of two."""
 
-    def is_on(self, vehicle: str) -> bool:
-        """Whether it can happen to this one."""
-        return not (self.not_on and vehicle.startswith(self.not_on))
-
 
 _NOTHING: Final = Way(30, "", "nothing", "")
 """Among so many flights some in which nothing goes wrong."""
@@ -66,15 +54,15 @@ _RANGE: Final = re.compile(r"(-?[\d.]+)\.\.([\d.]+)([LV]?)")
 _CHOICE: Final = re.compile(r"\[([^]]*)\]")
 
 
-def drawn(script: FaultScript, subject: Subject) -> tuple[str, str]:
-    """What it is called, and its timeline."""
-    lines_of = {way.name: way.line for way in ways() if way.is_on(subject.vehicle)}
+def drawn(script: FaultScript, vehicle: str, speed_m_s: float) -> tuple[str, str]:
+    """What it is called, and its timeline.  vehicle: `ardupilot-copter`, ..."""
+    lines_of = {w.name: w.line for w in ways() if not (w.not_on and vehicle.startswith(w.not_on))}
     names = list(lines_of)
     rng = np.random.default_rng((FAMILIES.index(script.family), script.seed, script.index))
     chosen = [names[script.index % len(names)]]
     if script.family == "combined":
         chosen = list(rng.choice(names, int(rng.integers(2, 4)), replace=False))
-    lines = [line for name in chosen for line in _lines(lines_of[name], subject, rng)]
+    lines = [line for name in chosen for line in _lines(lines_of[name], vehicle, speed_m_s, rng)]
     return " + ".join(chosen), "\n".join(lines)
 
 
@@ -83,9 +71,9 @@ def ways() -> list[Way]:
     return sorted([*map(Way._make, simulator().ways()), _NOTHING])
 
 
-def _lines(row: str, subject: Subject, rng: np.random.Generator) -> list[str]:
-    autopilot, kind = subject.vehicle.split("-")
-    strategy = named(autopilot, kind)
+def _lines(row: str, vehicle: str, speed_m_s: float, rng: np.random.Generator) -> list[str]:
+    autopilot, kind = vehicle.split("-")
+    strategy, size = named(autopilot, kind), 1.0 if kind == "copter" else _PLANES_SIZE
     returns, guided = (
         f"176 1 {' '.join(map(str, strategy.modes.asked[mode]))} to_autopilot"
         for mode in (Mode.RETURN, Mode.GUIDED)
@@ -94,11 +82,10 @@ def _lines(row: str, subject: Subject, rng: np.random.Generator) -> list[str]:
         guided = "193 1"  # it is told to continue: the autopilot would refuse the mode
     gale = "9.0" if kind == "copter" else "7.0"
     row = row.format(gale=gale, returns=returns, guided=guided)
-    scales = {"": 1.0, "L": 1.0 if kind == "copter" else _PLANES_SIZE, "V": subject.speed_m_s}
 
     def number(found: re.Match[str]) -> str:
         low, high, scale = found.groups()
-        value = scales[scale] * rng.uniform(float(low), float(high))
+        value = {"": 1.0, "L": size, "V": speed_m_s}[scale] * rng.uniform(float(low), float(high))
         return f"{value:.{len(high.partition('.')[2])}f}"
 
     at_s, lines = rng.uniform(_FROM_S, _UNTIL_S[kind]), list[str]()

@@ -21,10 +21,10 @@ from companion.campaign.truth import height_m
 from companion.config import load_mission, load_world
 from companion.geodesy import BoolArray, FloatArray, LocalFrame
 from companion.mavlink.autopilots import named
-from companion.mission.mission import AutopilotName, EndAction, Mission
+from companion.mission.mission import AutopilotName, EndAction
 from companion.path.limits import Limits
 from companion.planner.settings import Task
-from companion.sources.files import toml_text
+from companion.sources.files import RawTable, toml_text
 from companion.sources.mission_file import PlannerTable, VehicleTable
 from companion.sources.tables import OriginTable
 from companion.sources.zones import ZoneTable
@@ -215,115 +215,90 @@ def write(
     table of mission.toml.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    world, mission = folder / "world.toml", folder / "mission.toml"
-    table = _mission_table(mission_of(drawn, autopilot), vehicle or {})
-    mission.write_text(toml_text(table), encoding="utf-8")
-    world.write_text(toml_text(_world_table(drawn, autopilot)), encoding="utf-8")
-    return world, mission
+    world, mission = tables_of(drawn, autopilot)
+    mission["vehicle"] |= vehicle or {}
+    paths = folder / "world.toml", folder / "mission.toml"
+    for path, table in zip(paths, (world, mission), strict=True):
+        path.write_text(toml_text(table), encoding="utf-8")
+    return paths
 
 
-def mission_of(drawn: DrawnWorld, autopilot: AutopilotName = "ardupilot") -> Mission:
-    """The mission of a drawn world, for a vehicle of one of the autopilots."""
-    often = drawn.task.settings.scan_time_s < _USUAL_SCAN_S
-    return Mission(
-        name=drawn.name,
-        frame=FRAME,
-        targets_ne_m=drawn.targets_ne_m,
-        task=drawn.task,
-        end_action=EndAction.HOLD,
-        autopilot=autopilot,
-        position_rate_hz=20.0 if often else 10.0,
-    )
+def tables_of(drawn: DrawnWorld, autopilot: AutopilotName) -> tuple[RawTable, RawTable]:
+    """World and mission as their files have them."""
+    head = {"schema": 1, "name": drawn.name, "origin": _keys(OriginTable, FRAME)}
+    radars = {"radars": [_radar(radar) for radar in drawn.task.radars]}
+    world, mission = _world_table(drawn, autopilot), _mission_table(drawn, autopilot)
+    return head | world | radars, head | mission | radars
 
 
-def _mission_table(mission: Mission, vehicle: Mapping[str, Any]) -> dict[str, Any]:
-    """A mission as its file has it; `vehicle` overrides keys of the vehicle's table."""
-    task = mission.task
-    limits, settings = task.limits, task.settings
-    of_vehicle = _keys(VehicleTable, mission, limits) | {
-        "climb_angle_deg": math.degrees(limits.climb_angle_rad),
-        "dive_angle_deg": math.degrees(limits.dive_angle_rad),
-        "loiter_radius_m": limits.loiter_radius_m or None,
-        **vehicle,
-    }
+def _mission_table(drawn: DrawnWorld, autopilot: AutopilotName) -> RawTable:
+    limits, settings = drawn.task.limits, drawn.task.settings
+    (south, north), (west, east) = limits.north_m, limits.east_m
     return {
-        "schema": 1,
-        "name": mission.name,
-        "origin": _keys(OriginTable, FRAME),
         "area": {
-            **dict(zip(("north_min_m", "north_max_m"), limits.north_m, strict=True)),
-            **dict(zip(("east_min_m", "east_max_m"), limits.east_m, strict=True)),
+            "north_min_m": south, "north_max_m": north, "east_min_m": west, "east_max_m": east,
         },
         "altitude": {"floor_amsl_m": limits.floor_amsl_m, "ceiling_amsl_m": limits.ceiling_amsl_m},
-        "targets": [{"north_m": n, "east_m": e} for n, e in mission.targets_ne_m],
-        "vehicle": of_vehicle,
+        "targets": [{"north_m": n, "east_m": e} for n, e in drawn.targets_ne_m],
+        "vehicle": {
+            "autopilot": autopilot,
+            "position_rate_hz": 20.0 if settings.scan_time_s < _USUAL_SCAN_S else 10.0,
+            **_keys(VehicleTable, limits),
+            "climb_angle_deg": math.degrees(limits.climb_angle_rad),
+            "dive_angle_deg": math.degrees(limits.dive_angle_rad),
+            "loiter_radius_m": limits.loiter_radius_m or None,
+        },
         "planner": _keys(PlannerTable, settings)
         | {"profile": settings.profile.name, "weights": asdict(settings.weights)},
-        "end": {"action": mission.end_action.value},
-        "radars": [_radar(radar) for radar in task.radars],
-        "keep_outs": [_keys(ZoneTable, zone) for zone in task.zones],
+        "end": {"action": EndAction.HOLD.value},
+        "keep_outs": [_keys(ZoneTable, zone) for zone in drawn.task.zones],
         "keep_ins": [],
-    }
+    }  # fmt: skip
 
 
-def _keys(table: type[BaseModel], *holders: Any) -> dict[str, Any]:
-    """Of a table of a file, what these have under the same name."""
-    return {
-        name: getattr(holder, name)
-        for holder in holders
-        for name, key in table.model_fields.items()
-        if hasattr(holder, name) and key.alias is None
-    }
+def _keys(table: type[BaseModel], of: Any) -> RawTable:
+    """Of a table of a file, what a value has under the same name."""
+    names = (name for name, key in table.model_fields.items() if key.alias is None)
+    return {name: getattr(of, name) for name in names if hasattr(of, name)}
 
 
-def _radar(radar: Radar) -> dict[str, Any]:
-    north_m, east_m, altitude_amsl_m = radar.centre_nea_m
-    place = {"north_m": north_m, "east_m": east_m, "altitude_amsl_m": altitude_amsl_m}
+def _radar(radar: Radar) -> RawTable:
+    place = dict(zip(("north_m", "east_m", "altitude_amsl_m"), radar.centre_nea_m, strict=True))
     return {"name": radar.name, **place, "range_m": radar.range_m}
 
 
-def _world_table(drawn: DrawnWorld, autopilot: AutopilotName) -> dict[str, Any]:
+def _world_table(drawn: DrawnWorld, autopilot: AutopilotName) -> RawTable:
     """The truth, and a vehicle that can do what the mission asks of it."""
-    task, terrain, kind = drawn.task, drawn.terrain, drawn.task.limits.kind
+    terrain, limits = drawn.terrain, drawn.task.limits
     assert isinstance(terrain, PeakTerrain)  # as all families draw it
-    strategy = named(autopilot, kind)
-    start, target = np.array(drawn.start_nea_m[:2]), np.array(drawn.targets_ne_m[0])
-    ahead = target - start if task.limits.hovers else start - target
-    """A plane climbs out over ground on which nothing stands."""
+    strategy, start, target = (
+        named(autopilot, limits.kind),
+        drawn.start_nea_m,
+        drawn.targets_ne_m[0],
+    )
+    ahead = 1.0 if limits.hovers else -1.0  # a plane climbs out where nothing stands: away from it
+    heading_rad = math.atan2(ahead * (target[1] - start[1]), ahead * (target[0] - start[0]))
+    vehicle = {
+        "kind": limits.kind,
+        "autopilot": "ideal" if (autopilot, limits.kind) == ("ardupilot", "copter") else autopilot,
+        "north_m": start[0],
+        "east_m": start[1],
+        "heading_deg": math.degrees(heading_rad),
+    }
+    if limits.hovers:  # it can do more than is asked for, by about what the environments' can
+        vehicle |= {
+            "speed_max_m_s": 1.15 * limits.speed_m_s + 1.0,
+            "acceleration_max_m_s2": 2.0 * limits.acceleration_m_s2,
+            "speed_vertical_max_m_s": 1.5 * limits.climb_rate_m_s,
+            "acceleration_vertical_max_m_s2": max(2.5, limits.acceleration_m_s2),
+        }
+    parameters = {**strategy.firmware.lasting_battery, **strategy.parameters_for(limits)}
     return {
-        "schema": 1,
-        "name": drawn.name,
-        "origin": _keys(OriginTable, FRAME),
         "terrain": {
             "combine": "maximum",
             "ground_amsl_m": terrain.ground_amsl_m,
             "peaks": [asdict(peak) for peak in terrain.peaks],
         },
-        "vehicle": {
-            "kind": kind,
-            "autopilot": "ideal" if (autopilot, kind) == ("ardupilot", "copter") else autopilot,
-            "north_m": float(start[0]),
-            "east_m": float(start[1]),
-            "heading_deg": math.degrees(math.atan2(ahead[1], ahead[0])),
-            **_abilities(drawn),
-            "parameters": {
-                **strategy.firmware.lasting_battery,
-                **strategy.parameters_for(task.limits),
-            },
-        },
-        "radars": [_radar(radar) for radar in task.radars],
-        "scanner": {"component_id": 100, "range_m": task.settings.scan_range_m},
-    }
-
-
-def _abilities(drawn: DrawnWorld) -> dict[str, float]:
-    """Of a copter: more than the mission asks for by about what the environments' have."""
-    limits = drawn.task.limits
-    if not limits.hovers:
-        return {}
-    return {
-        "speed_max_m_s": 1.15 * limits.speed_m_s + 1.0,
-        "acceleration_max_m_s2": 2.0 * limits.acceleration_m_s2,
-        "speed_vertical_max_m_s": 1.5 * limits.climb_rate_m_s,
-        "acceleration_vertical_max_m_s2": max(2.5, limits.acceleration_m_s2),
+        "vehicle": {**vehicle, "parameters": parameters},
+        "scanner": {"component_id": 100, "range_m": drawn.task.settings.scan_range_m},
     }

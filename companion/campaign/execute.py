@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.campaign.file import Run
-from companion.campaign.run import fly_run, row_of
+from companion.campaign.run import error_of, fly_run, row_of
 from companion.campaign.store import Row
 from companion.errors import CompanionError, FlightInterrupted, InputError
 from companion.runtime.compiler import load_kernel
@@ -32,7 +32,7 @@ def fly(runs: Sequence[Run], out: Path, scheduler: str | None, jobs: int) -> Gen
                 raise row  # no room for its folder: no result of the run
             if isinstance(row, Exception):
                 text = str(row) if isinstance(row, CompanionError) else repr(row)
-                row = row_of(runs[number], {"error": text})
+                row = row_of(runs[number], error_of(text))
             yield row
 
 

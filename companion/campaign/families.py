@@ -3,14 +3,14 @@
 The default seed draws the worlds of docs/results/benchmarks.md; another seed draws fresh ones.
 Every world has a way through at the floor of the band, outside all radars and keep-outs, which a
 flood fill that shares no code with the planner proves, and its straight line is barred; a world
-without is drawn again.
+without is drawn again.  Whoever changes the order of draws changes the worlds.
 """
 
 import functools
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Final, final
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -32,11 +32,12 @@ _SPREAD_STREAM, _WITHOUT_SEEDS = 3, (1, 2)
 _MOST_EDGE_M = 620_000.0
 Rng = np.random.Generator
 _Between = tuple[float, float]
-_Places = list[tuple[float, float, float]]
-"""North, east, and how far a mountain's foot stays from there."""
+_Place = tuple[float, float]
 _Ring = tuple[float, float, float]
 """Least and greatest north and east, and half the side of the hollow square about the origin."""
 _SQUARE: _Ring = (0.0, 100_000.0, 0.0)
+_ROOM_M = 6_000.0
+"""What mountains in a ring leave free about start and target; radars leave half of it."""
 
 
 @functools.cache
@@ -73,10 +74,9 @@ def _anywhere(
 ) -> DrawnWorld:
     """So many mountains, and radars of such ranges, anywhere in the square."""
     base = drawn_world.bundled("environment-2")
-    ends = [(*base.start_nea_m[:2], 6_000.0), (*base.targets_ne_m[0], 6_000.0)]
-    peaks = _peaks_in(_SQUARE, rng, int(rng.integers(*mountains, endpoint=True)), ends)
+    peaks = _peaks_in(_SQUARE, rng, base, int(rng.integers(*mountains, endpoint=True)))
     count = int(rng.integers(*radars, endpoint=True))
-    return _with_obstacles(base, peaks, _radars_in(_SQUARE, rng, count, range_m, ends))
+    return _on_a_plain(base, peaks, _radars_in(_SQUARE, rng, base, count, range_m))
 
 
 def _spread_out(count: int, variant: int) -> DrawnWorld:
@@ -88,7 +88,8 @@ def _spread_out(count: int, variant: int) -> DrawnWorld:
     have (2.5e7 cells).  No way through is promised.
     """
     base, half = drawn_world.bundled("environment-2"), 20_000.0
-    room = [(-half, -half, 6_000.0), (half, half, 6_000.0)]
+    start_nea_m, targets_ne_m = (-half, -half, base.start_nea_m[2]), ((half, half),)
+    base = replace(base, start_nea_m=start_nea_m, targets_ne_m=targets_ne_m)
     peaks, radars = list[Peak](), list[Radar]()
     inner_m, size = 0.0, 10
     while len(peaks) + len(radars) < count:
@@ -98,48 +99,38 @@ def _spread_out(count: int, variant: int) -> DrawnWorld:
         outer_m = 500.0 * math.sqrt(size / _DENSITY_1_KM2)
         ring = (-outer_m, outer_m, inner_m)
         mountains = round(0.6 * more)
-        peaks += _peaks_in(ring, rng, mountains, room)
-        radars += _radars_in(ring, rng, more - mountains, (6_000.0, 11_000.0), room)
+        peaks += _peaks_in(ring, rng, base, mountains)
+        radars += _radars_in(ring, rng, base, more - mountains, (6_000.0, 11_000.0))
         inner_m, size = outer_m, 10 * size
     edge_m = min(max(inner_m + 5_000.0, 60_000.0), _MOST_EDGE_M)
     limits = replace(base.task.limits, north_m=(-edge_m, edge_m), east_m=(-edge_m, edge_m))
-    spread = _with_obstacles(base, peaks, radars)
-    return replace(
-        spread,
-        name=f"growth-{count}",
-        task=replace(spread.task, limits=limits),
-        start_nea_m=(-half, -half, base.start_nea_m[2]),
-        targets_ne_m=((half, half),),
-    )
+    spread = _on_a_plain(base, peaks, radars)
+    return replace(spread, name=f"growth-{count}", task=replace(spread.task, limits=limits))
 
 
-def _peaks_in(ring: _Ring, rng: Rng, count: int, ends: _Places) -> list[Peak]:
+def _peaks_in(ring: _Ring, rng: Rng, base: DrawnWorld, count: int) -> list[Peak]:
     """Mountains of 3,600 to 6,000 m, none of which stands over a start or a target."""
     result = list[Peak]()
     while len(result) < count:
-        north, east = _somewhere(rng, ring)
-        height = float(np.round(rng.uniform(3_600.0, 6_000.0), -1))
+        at, height_m = _somewhere(rng, ring), float(np.round(rng.uniform(3_600.0, 6_000.0), -1))
         spreads = [float(v) for v in np.round(rng.uniform(3_000.0, 5_500.0, 2), -1)]
-        if all(math.hypot(north - n, east - e) >= far + max(spreads) for n, e, far in ends):
-            result.append(Peak(north, east, height, *spreads))
+        if _leaves_ends(base, at, max(spreads), _ROOM_M):
+            result.append(Peak(*at, height_m, *spreads))
     return result
 
 
 def _radars_in(
-    ring: _Ring, rng: Rng, count: int, range_m: _Between, ends: _Places
-) -> tuple[Radar, ...]:
+    ring: _Ring, rng: Rng, base: DrawnWorld, count: int, range_m: _Between
+) -> list[Radar]:
     """Radars on the plain, none of which sees a start or a target."""
-    result = list[Radar]()
-    while len(result) < count:
-        north, east = _somewhere(rng, ring)
-        reach = float(np.round(rng.uniform(*range_m), -1))
-        if all(math.hypot(north - n, east - e) >= reach + 0.5 * far for n, e, far in ends):
-            name = f"radar {len(result) + 1}"
-            result.append(Radar(name=name, centre_nea_m=(north, east, 0.0), range_m=reach))
-    return tuple(result)
+
+    def drawn() -> tuple[_Place, float]:
+        return _somewhere(rng, ring), float(np.round(rng.uniform(*range_m), -1))
+
+    return _radars(base, count, drawn, 0.5 * _ROOM_M)
 
 
-def _somewhere(rng: Rng, ring: _Ring) -> tuple[float, float]:
+def _somewhere(rng: Rng, ring: _Ring) -> _Place:
     while True:
         north, east = (float(v) for v in np.round(rng.uniform(*ring[:2], 2), -1))
         if max(abs(north), abs(east)) >= ring[2]:
@@ -151,13 +142,11 @@ def _gathered(rng: Rng) -> DrawnWorld:
     base = drawn_world.bundled("environment-2")
     peaks = list[Peak]()
     while len(peaks) < 12:
-        north, east = _beside_the_line(rng, base, 18_000.0)
-        height = float(rng.uniform(3_400.0, 6_000.0))
+        at, height = _beside_the_line(rng, base, 18_000.0), float(rng.uniform(3_400.0, 6_000.0))
         spreads = rng.uniform(4_000.0, 8_000.0, 2).tolist()
-        if _leaves_ends(base, (north, east), max(spreads) * math.sqrt(math.log(height / 2_400.0))):
-            peaks.append(Peak(north, east, height, *spreads))
-    radars = _radars(rng, base, 10, (6_000.0, 11_000.0), 20_000.0)
-    return _with_obstacles(base, peaks, radars)
+        if _leaves_ends(base, at, max(spreads) * math.sqrt(math.log(height / 2_400.0))):
+            peaks.append(Peak(*at, height, *spreads))
+    return _on_a_plain(base, peaks, _radars_beside(rng, base, 10, (6_000.0, 11_000.0), 20_000.0))
 
 
 def _walls(rng: Rng) -> DrawnWorld:
@@ -184,8 +173,7 @@ def _walls(rng: Rng) -> DrawnWorld:
             *(np.stack([end - back, np.full_like(back, side + s * half)], -1) for s in (-1, 1)),
         ])  # fmt: skip
         peaks += _ridge(base, line, np.full(len(line), rng.uniform(5_400.0, 6_400.0)))
-    radars = _radars(rng, base, 3, (5_000.0, 9_000.0), 35_000.0)
-    return _with_obstacles(base, peaks, radars)
+    return _on_a_plain(base, peaks, _radars_beside(rng, base, 3, (5_000.0, 9_000.0), 35_000.0))
 
 
 def _ridge(base: DrawnWorld, line_m: FloatArray, top_m: FloatArray) -> list[Peak]:
@@ -201,32 +189,23 @@ def _ridge(base: DrawnWorld, line_m: FloatArray, top_m: FloatArray) -> list[Peak
 # --- small vehicles: hills, towers and keep-outs about a straight line of any bearing
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Small:
+class _Small(NamedTuple):
     """What worlds for a small vehicle are drawn between; one number: it is always that."""
 
     scan_range_m: _Between | float
     speed_m_s: _Between | float
     turn_radius_m: _Between | float
-    away_m: _Between | float
-    """Of the target from the start, at most `most_ranges` scan ranges."""
+    away_m: _Between | float  # of the target from the start, at most `most_ranges` scan ranges
     safety_m: _Between | float
-    most_ranges: float = math.inf
     climb_deg: float
     dive_deg: float
-    band_m: _Between
-    """Floor and ceiling above the ground,"""
-    tops_m: _Between
-    """and tops of hills and towers likewise."""
-    towers_m: _Between
-    """Their radius at the ground."""
-    times_s: _Between
-    """Of planning, and of a scan."""
-    limits: Mapping[str, float] = field(default_factory=dict)
-    """Others of the vehicle."""
-    on_the_map: bool = False
-    """Without keep-outs that lie off the map: a mission file drops them."""
+    band_m: _Between  # floor and ceiling above the ground,
+    tops_m: _Between  # and tops of hills and towers likewise
+    towers_m: _Between  # their radius at the ground
+    times_s: _Between  # of planning, and of a scan
+    limits: dict[str, Any]  # others of the vehicle
+    most_ranges: float = math.inf
+    on_the_map: bool = False  # without keep-outs that lie off the map: a mission file drops them
 
 
 _COPTER: Final = _Small(
@@ -289,15 +268,15 @@ def _small(of: _Small, rng: Rng) -> DrawnWorld:
         scan_time_s=of.times_s[1],
         overlap_m=0.1 * range_m,
     )
+    task = Task(limits=limits, settings=settings)
+    start_m = task.band_amsl_m[0] + 0.1 * task.error_m  # a little above the lowest altitude
     base = DrawnWorld(
         name="",
         terrain=PeakTerrain(peaks=(), ground_amsl_m=ground),
-        task=Task(limits=limits, settings=settings),
-        start_nea_m=(margin, margin, 0.0),
+        task=task,
+        start_nea_m=(margin, margin, start_m),
         targets_ne_m=((margin + north, margin + east),),
     )
-    # a little above the lowest altitude
-    base = replace(base, start_nea_m=(margin, margin, base.floor_amsl_m + 0.1 * base.task.error_m))
     count = round(rng.uniform(2.0, 4.0) * away_m / range_m) + 4
     hills = rng.uniform(0.12, 0.45, count) * range_m
     feet = np.concatenate([hills, rng.uniform(*of.towers_m, count)]).tolist()
@@ -314,13 +293,13 @@ def _small(of: _Small, rng: Rng) -> DrawnWorld:
         if _leaves_ends(base, (n, e), radius):
             name = f"zone {len(zones) + 1}"
             zones.append(CircleZone(name=name, north_m=n, east_m=e, radius_m=float(radius)))
-    radars = _radars(rng, base, 2, (0.2 * range_m, 0.5 * range_m), range_m)
+    radars = _radars_beside(rng, base, 2, (0.2 * range_m, 0.5 * range_m), range_m)
     if of.on_the_map:
         zones = [zone for zone in zones if _touches_map(zone, limits)]
     return replace(
         base,
         terrain=PeakTerrain(peaks=tuple(peaks), ground_amsl_m=ground),
-        task=replace(base.task, zones=tuple(zones), radars=radars),
+        task=replace(task, zones=tuple(zones), radars=tuple(radars)),
     )
 
 
@@ -332,28 +311,39 @@ def _touches_map(zone: CircleZone, limits: Limits) -> bool:
 # --- what they are made of
 
 
-def _with_obstacles(base: DrawnWorld, peaks: Sequence[Peak], radars: Sequence[Radar]) -> DrawnWorld:
-    """On a plain at sea level."""
+def _on_a_plain(base: DrawnWorld, peaks: Iterable[Peak], radars: Iterable[Radar]) -> DrawnWorld:
+    """With these obstacles alone, at sea level."""
     task = replace(base.task, radars=tuple(radars), zones=())
     return replace(base, terrain=PeakTerrain(peaks=tuple(peaks), ground_amsl_m=0.0), task=task)
 
 
 def _radars(
-    rng: Rng, base: DrawnWorld, count: int, range_m: _Between, aside_m: float
-) -> tuple[Radar, ...]:
-    """Radars about the straight line that see neither end, on the plain."""
+    base: DrawnWorld,
+    count: int,
+    drawn: Callable[[], tuple[_Place, float]],
+    room_m: float | None = None,
+) -> list[Radar]:
+    """Radars on the plain that see neither end.  drawn: where one stands, and its range."""
+    assert isinstance(base.terrain, PeakTerrain)
     radars = list[Radar]()
-    plain_m = base.terrain.ground_amsl_m if isinstance(base.terrain, PeakTerrain) else 0.0
     while len(radars) < count:
-        north, east = _beside_the_line(rng, base, aside_m)
-        reach = float(rng.uniform(*range_m))
-        if _leaves_ends(base, (north, east), reach):
-            name = f"radar {len(radars) + 1}"
-            radars.append(Radar(name=name, centre_nea_m=(north, east, plain_m), range_m=reach))
-    return tuple(radars)
+        at, range_m = drawn()
+        if _leaves_ends(base, at, range_m, room_m):
+            place, name = (*at, base.terrain.ground_amsl_m), f"radar {len(radars) + 1}"
+            radars.append(Radar(name=name, centre_nea_m=place, range_m=range_m))
+    return radars
 
 
-def _at(base: DrawnWorld, along_m: float, aside_m: float) -> tuple[float, float]:
+def _radars_beside(
+    rng: Rng, base: DrawnWorld, count: int, range_m: _Between, aside_m: float
+) -> list[Radar]:
+    def drawn() -> tuple[_Place, float]:
+        return _beside_the_line(rng, base, aside_m), float(rng.uniform(*range_m))
+
+    return _radars(base, count, drawn)
+
+
+def _at(base: DrawnWorld, along_m: float, aside_m: float) -> _Place:
     """A place so far along the straight line from the start, and so far to the right of it."""
     start, target = np.array(base.start_nea_m[:2]), np.array(base.targets_ne_m[0])
     ahead = (target - start) / np.linalg.norm(target - start)
@@ -361,17 +351,20 @@ def _at(base: DrawnWorld, along_m: float, aside_m: float) -> tuple[float, float]
     return float(at[0]), float(at[1])
 
 
-def _beside_the_line(rng: Rng, base: DrawnWorld, aside_m: float) -> tuple[float, float]:
+def _beside_the_line(rng: Rng, base: DrawnWorld, aside_m: float) -> _Place:
     """A place about the middle three quarters of the straight line, normally so far aside."""
     way = math.dist(base.start_nea_m[:2], base.targets_ne_m[0])
     return _at(base, float(rng.uniform(0.125, 0.875)) * way, float(rng.normal(0.0, aside_m)))
 
 
-def _leaves_ends(base: DrawnWorld, at_ne_m: tuple[float, float], reach_m: float) -> bool:
-    """Whether something so large leaves 0.15 R about the start and the target."""
-    room = 0.15 * base.task.settings.scan_range_m + base.task.limits.loiter_radius_m
+def _leaves_ends(
+    base: DrawnWorld, at_ne_m: _Place, reach_m: float, room_m: float | None = None
+) -> bool:
+    """Whether something so large leaves room about start and target: 0.15 R, if not said."""
+    if room_m is None:
+        room_m = 0.15 * base.task.settings.scan_range_m + base.task.limits.loiter_radius_m
     ends = (base.start_nea_m[:2], base.targets_ne_m[0])
-    return all(math.dist(at_ne_m, end) >= reach_m + room for end in ends)
+    return all(math.dist(at_ne_m, end) >= reach_m + room_m for end in ends)
 
 
 _FAMILIES: dict[str, tuple[int, Callable[[Rng], DrawnWorld]]] = {

@@ -4,13 +4,13 @@ A campaign is data: places (worlds with their missions), factors that are combin
 and how many seeds of every combination.
 """
 
-import difflib
 import itertools
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, final
+from typing import Annotated, Any, Final, Literal, NamedTuple, final
 
 from pydantic import Field
 
@@ -19,10 +19,7 @@ from companion.campaign.drawn_faults import FaultScript
 from companion.campaign.families import FAMILIES, SPREAD
 from companion.config import bundled
 from companion.errors import InputError
-from companion.optimise.registry import OPTIMISERS
-from companion.paper.rivals import PLANNERS
 from companion.planner.rules import Broken
-from companion.planning import OURS
 from companion.profiles import PROFILES
 from companion.ranges import Positive
 from companion.sources.files import answer, read_text, toml_table
@@ -35,16 +32,31 @@ Knowledge = Literal["scans", "full"]
 Keep = Literal["all", "failures", "none"]
 Vehicle = Literal["ardupilot-copter", "ardupilot-plane", "px4-copter", "px4-plane"]
 
-_NONE = "none"
-_MOST_RUNS = 1_000_000
-_CHOSEN = ("sensor", "faults", "wind", "noise")
-_OF_FLIGHTS = ("limit_s", "faults", "factors.vehicle", *(f"factors.{name}" for name in _CHOSEN))
-_OF_PLANNERS = ("factors.planner", "factors.knowledge")
-_LEAVE_OUT = "Leave it out."
+_NONE: Final = "none"
+_MOST_RUNS: Final = 1_000_000
+_CHOSEN: Final = ("sensor", "faults", "wind", "noise")
+"""Factors whose values are names of choices."""
+_OF_FLIGHTS: Final = ("vehicle", *_CHOSEN)
+_OF_PLANNERS: Final = ("planner", "knowledge")
+_LEAVE_OUT: Final = "Leave it out."
 _Count = Annotated[int, Field(ge=1, le=1_000_000)]
 _Seed = Annotated[int, Field(ge=0, le=2**31)]
 _Indices = Annotated[list[Annotated[int, Field(ge=0, le=10_000_000)]], Field(min_length=1)]
+_Budgets = Annotated[list[Annotated[int, Field(ge=60, le=200_000)]], Field(min_length=1)]
 _Names = Annotated[list[Name], Field(min_length=1)]
+
+
+class Place(NamedTuple):
+    """One world and its mission."""
+
+    label: str
+    world: str
+    """A bundled name, a path, or the name of a drawn one."""
+    mission: str | None = None
+    family: str | None = None
+    family_seed: int | None = None
+    family_index: int | None = None
+    vehicle: str | None = None
 
 
 class PlaceTable(Table):
@@ -73,6 +85,26 @@ class PlaceTable(Table):
         for key in sorted(idle & self.model_fields_set):
             yield key, getattr(self, key), "it has no effect beside the others", _LEAVE_OUT
 
+    def places(self, folder: Path) -> list[Place]:
+        """One for each world; folder: what paths are relative to."""
+        if self.family is not None:
+            family = f"{self.family}-{self.seed}"
+            return [
+                Place(
+                    f"{family}/{k}", f"{family}-{k}", None, self.family, self.seed, k, self.vehicle
+                )
+                for k in self.indices or range(self.count)
+            ]
+        label = world = mission = str(self.world)
+        if world not in bundled():
+            path = folder / world
+            world, mission = str(path), str(path.with_name("mission.toml"))
+            label = path.parent.name or path.stem
+        if self.mission is not None:
+            is_bundled = self.mission in bundled()
+            mission = self.mission if is_bundled else str(folder / self.mission)
+        return [Place(label, world, mission, vehicle=self.vehicle)]
+
 
 class FactorsTable(Table):
     """What is combined, each with each; what is left out is as the mission has it."""
@@ -80,9 +112,7 @@ class FactorsTable(Table):
     vehicle: Annotated[list[Vehicle], Field(min_length=1)] | None = None
     profile: Annotated[list[Literal[tuple(PROFILES)]], Field(min_length=1)] | None = None  # type: ignore[valid-type]
     optimiser: _Names | None = None
-    budget: (
-        Annotated[list[Annotated[int, Field(ge=60, le=200_000)]], Field(min_length=1)] | None
-    ) = None
+    budget: _Budgets | None = None
     planner: _Names | None = None
     knowledge: Annotated[list[Knowledge], Field(min_length=1)] | None = None
     sensor: _Names | None = None
@@ -127,49 +157,34 @@ class CampaignTable(Table):
     choices: list[ChoiceTable] = Field(default=[])
 
     def broken(self) -> Iterator[Broken]:
-        """Every name is known, and everything that is said has an effect."""
-        factors, names = self.factors, [choice.name for choice in self.choices]
-        known = {"optimiser": [*OPTIMISERS], "planner": [OURS, *PLANNERS]}
-        for factor, choices in (known | {key: [_NONE, *names] for key in _CHOSEN}).items():
-            yield from _unknown(factor, getattr(factors, factor), choices)
-        asked = [name for factor in _CHOSEN for name in getattr(factors, factor) or ()]
+        """Every choice is known, and everything that is said has an effect."""
+        names = [choice.name for choice in self.choices]
+        asked = {key: getattr(self.factors, key) or () for key in _CHOSEN}
+        for key, name in ((factor, name) for factor in _CHOSEN for name in asked[factor]):
+            if name not in (_NONE, *names):
+                remedy = f"Add it. There are: {', '.join([_NONE, *names])}."
+                yield f"factors.{key}", name, "there is none of this name among choices", remedy
         for k, name in enumerate(names):
-            if name in names[:k] or name == _NONE:
+            if name in (_NONE, *names[:k]):
                 yield f"choices[{k}].name", name, "it stands for another already", "Rename it."
-            if name not in asked:
+            if name not in itertools.chain(*asked.values()):
                 rule = f"no factor ({', '.join(_CHOSEN)}) asks for it"
                 yield f"choices[{k}].name", name, rule, _LEAVE_OUT
+        yield from self._idle()
+
+    def _idle(self) -> Iterator[Broken]:
+        """What is of flights beside a planner alone, or of that beside flights."""
         alone = self.over == "planner"
         rule = "the planner alone has no vehicle" if alone else "it is of the planner alone"
+        for key in self.model_fields_set & {"limit_s", "faults"} if alone else ():
+            yield key, getattr(self, key), rule, _LEAVE_OUT
         for key in _OF_FLIGHTS if alone else _OF_PLANNERS:
-            table, name = (factors if "." in key else self), key.rpartition(".")[2]
-            if name in table.model_fields_set:
-                yield key, getattr(table, name), rule, _LEAVE_OUT
+            if (values := getattr(self.factors, key)) is not None:
+                yield f"factors.{key}", values, rule, _LEAVE_OUT
         rule = rule if alone else "the factor vehicle says which fly, at all places"
-        for k, place in enumerate(self.places):
-            if place.vehicle is not None and (alone or factors.vehicle):
+        for k, place in enumerate(self.places if alone or self.factors.vehicle else ()):
+            if place.vehicle is not None:
                 yield f"places[{k}].vehicle", place.vehicle, rule, _LEAVE_OUT
-
-
-def _unknown(factor: str, values: list[str] | None, known: list[str]) -> Iterator[Broken]:
-    for name in values or ():
-        if name not in known:
-            [near] = difflib.get_close_matches(name, known, n=1, cutoff=0.0)
-            remedy = f"Did you mean {near}? There are: {', '.join(known)}."
-            yield f"factors.{factor}", name, "there is none of this name", remedy
-
-
-class Place(NamedTuple):
-    """One world and its mission."""
-
-    label: str
-    world: str
-    """A bundled name, a path, or the name of a drawn one."""
-    mission: str | None = None
-    family: str | None = None
-    family_seed: int | None = None
-    family_index: int | None = None
-    vehicle: str | None = None
 
 
 @final
@@ -215,10 +230,8 @@ def runs_of(campaign: CampaignTable, folder: Path) -> list[Run]:
     All seeds of a combination follow each other last, so that the first runs already show each
     combination once.
     """
-    places = [place for table in campaign.places for place in _places(table, folder)]
-    factors = {
-        name: getattr(campaign.factors, name) or [None] for name in FactorsTable.model_fields
-    }
+    places = [place for table in campaign.places for place in table.places(folder)]
+    factors: dict[str, list[Any]] = {name: values or [None] for name, values in campaign.factors}
     scripts = [
         FaultScript(family=table.family, seed=table.seed, index=index)
         for table in campaign.faults
@@ -226,57 +239,26 @@ def runs_of(campaign: CampaignTable, folder: Path) -> list[Run]:
     ]
     if scripts:
         factors["faults"] = [*(campaign.factors.faults or ()), *scripts]
-    combinations = list(itertools.product(places, *factors.values()))
-    if campaign.seeds * len(combinations) > _MOST_RUNS:
+    if campaign.seeds * len(places) * math.prod(map(len, factors.values())) > _MOST_RUNS:
         rule = f"that makes more than {_MOST_RUNS:,} runs"
         raise InputError("seeds", campaign.seeds, rule, "Ask for fewer.")
-    seeds = range(campaign.first_seed, campaign.first_seed + campaign.seeds)
-    return [
-        _run(campaign, number, seed, place, dict(zip(factors, values, strict=True)))
-        for number, (seed, (place, *values)) in enumerate(itertools.product(seeds, combinations))
-    ]
-
-
-def _run(
-    campaign: CampaignTable, number: int, seed: int, place: Place, values: Mapping[str, Any]
-) -> Run:
-    script = values["faults"] if isinstance(values["faults"], FaultScript) else None
-    given = {name: value for name, value in values.items() if value is not None}
-    given |= {"faults": str(script)} if script is not None else {}
-    given |= {"vehicle": place.vehicle} if place.vehicle is not None else {}
-    return Run(
-        number=number,
-        key="/".join([place.label, *map(str, given.values()), f"seed-{seed}"]),
-        seed=seed,
-        place=place,
-        over=campaign.over,
-        keep=campaign.keep,
-        limit_s=campaign.limit_s,
-        factors=given,
-        script=script,
-        choices=tuple(c for k in _CHOSEN for c in campaign.choices if c.name == given.get(k)),
-    )
-
-
-def _places(table: PlaceTable, folder: Path) -> list[Place]:
-    if table.family is not None:
-        return [
-            Place(
-                label=f"{table.family}-{table.seed}/{index}",
-                world=f"{table.family}-{table.seed}-{index}",
-                family=table.family,
-                family_seed=table.seed,
-                family_index=index,
-                vehicle=table.vehicle,
-            )
-            for index in table.indices or range(table.count)
-        ]
-    label = world = mission = str(table.world)
-    if world not in bundled():
-        path = folder / world
-        world, mission = str(path), str(path.with_name("mission.toml"))
-        label = path.parent.name or path.stem
-    if table.mission is not None:
-        is_bundled = table.mission in bundled()
-        mission = table.mission if is_bundled else str(folder / table.mission)
-    return [Place(label=label, world=world, mission=mission, vehicle=table.vehicle)]
+    seeds, runs = range(campaign.first_seed, campaign.first_seed + campaign.seeds), list[Run]()
+    for seed, place, *values in itertools.product(seeds, places, *factors.values()):
+        given = {k: v for k, v in zip(factors, values, strict=True) if v is not None}
+        script = given.get("faults")
+        given |= {"faults": str(script)} if isinstance(script, FaultScript) else {}
+        given |= {"vehicle": place.vehicle} if place.vehicle is not None else {}
+        run = Run(
+            number=len(runs),
+            key="/".join([place.label, *map(str, given.values()), f"seed-{seed}"]),
+            seed=seed,
+            place=place,
+            over=campaign.over,
+            keep=campaign.keep,
+            limit_s=campaign.limit_s,
+            factors=given,
+            script=script if isinstance(script, FaultScript) else None,
+            choices=tuple(c for k in _CHOSEN for c in campaign.choices if c.name == given.get(k)),
+        )
+        runs.append(run)
+    return runs

@@ -1,24 +1,27 @@
 """A flight of a campaign: a vehicle and its companion in this process, in lockstep, no sockets.
 
-It leaves a run folder and the truth, and only these are looked at afterwards.
+It leaves a run folder and the truth, and only these are looked at afterwards.  The simulator is an
+entry point, for the companion imports none.
 """
 
 import errno
+import functools
 import json
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
+from importlib.metadata import entry_points, version
 from pathlib import Path
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple, Protocol, final
 
 import numpy as np
 
-from companion.campaign.simulator import Vehicle, simulator
 from companion.config import load_mission, mission_text
+from companion.errors import InputError
 from companion.geodesy import FloatArray
 from companion.mission.mission import Mission
 from companion.planning import plan
-from companion.runtime.in_process import loop_in_process
+from companion.runtime.in_process import SimulatedVehicle, loop_in_process
 from companion.runtime.recorder import Recorder
 from companion.session import Session
 from companion.telemetry.resume import load_resume_data
@@ -26,8 +29,53 @@ from companion.telemetry.run_folder import RunFolder
 
 _KILLED: Final = "companion_off"
 """The fault that befalls the companion, and not its vehicle."""
-_EPOCH_US = 1_700_000_000_000_000
+_EPOCH_US: Final = 1_700_000_000_000_000
 """Stamps of logs begin here, so that a run leaves the same bytes each time."""
+
+
+class Vehicle(SimulatedVehicle, Protocol):
+    """One that flies in this process."""
+
+    def take_truth(self) -> list[str]:
+        """Where it really was since the last call: lines of JSON, after a header."""
+        ...
+
+
+class Happening(Protocol):
+    """A line of a timeline, and what it asks for."""
+
+    at_us: int
+    until_us: int
+    sets: Mapping[str, Any]
+    fault: Any
+    """Its row, as `Fault` in vehicle_sim/faults.py: also by what a companion is judged then."""
+
+
+class Simulator(Protocol):
+    """The module that an entry point in the group `companion.vehicles` names."""
+
+    def vehicle(self, world: Path, *, seed: int, faults: str) -> Vehicle:
+        """The vehicle of a world.toml, with a timeline of faults."""
+        ...
+
+    def entries(self, text: str) -> Sequence[Happening]:
+        """The lines of a timeline."""
+        ...
+
+    def ways(self) -> Sequence[tuple[int, str, str, str]]:
+        """Ways in which faults are drawn: `drawn_faults.Way`."""
+        ...
+
+
+@functools.cache
+def simulator() -> Simulator:
+    """The one that is installed; InputError if none is."""
+    for point in entry_points(group="companion.vehicles"):
+        found: Simulator = point.load()
+        if hasattr(found, "ways"):  # of an older installation it is not the module
+            return found
+    rule, remedy = "no package brings one", "Install the project again: pip install ."
+    raise InputError("companion.vehicles", None, rule, remedy)
 
 
 class FlightFiles(NamedTuple):
@@ -54,7 +102,6 @@ class Flight:
     plans_s: list[float]
     told: FloatArray
     """Positions that the companion was told: when, of what time, north, east, altitude; (K, 5)."""
-    folder: Path
 
 
 def _vehicle(files: FlightFiles, seed: int) -> Vehicle:
@@ -83,11 +130,10 @@ class Flying:
 
     def _begin(self, *, again: bool = False) -> None:
         """One life of the companion."""
-        mission, folder = self._mission, self._files.folder
+        mission, folder, seed = self._mission, self._files.folder, self._seed
         resume = load_resume_data(folder, mission).resume if again else None
-        session = Session(
-            mission, seed=self._seed, lockstep=True, version=version("companion"), resume=resume
-        )
+        made_by = version("companion")
+        session = Session(mission, seed=seed, lockstep=True, version=made_by, resume=resume)
         self.loop = loop_in_process(
             session,
             self._vehicle,
@@ -99,7 +145,7 @@ class Flying:
             folder, mission_toml=text, epoch_us=_EPOCH_US, resume=again, durable=False
         )
         profile = mission.task.settings.profile.name
-        facts = {"mission": mission.name, "seed": self._seed, "profile": profile, "lockstep": True}
+        facts = {"mission": mission.name, "seed": seed, "profile": profile, "lockstep": True}
         self._folder.header(facts)
         self._recorder = Recorder(self._folder, self.loop.clock, self.loop.lost)
         self.loop.record = self._recorder.put
@@ -149,7 +195,6 @@ class Flying:
             truth=_lines_with("t_s", folder / "truth.jsonl"),
             plans_s=self.loop.flown.plans_s,
             told=np.array(self._told).reshape(-1, 5),
-            folder=folder,
         )
 
 

@@ -29,8 +29,7 @@ import numpy as np
 
 from companion.campaign import truth
 from companion.campaign.drawn_world import DrawnWorld
-from companion.campaign.in_process import Flight
-from companion.campaign.simulator import Happening, simulator
+from companion.campaign.in_process import Flight, Happening, simulator
 from companion.geodesy import BoolArray, FloatArray
 from companion.library import route_terms
 from companion.mission.state import Reason
@@ -66,8 +65,7 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str,
     if timeline is not None:
         flight, is_cut = _until_stopped(flight)
     track = _in_the_air(flight, drawn)
-    if (flown := _flown(track, flight)).sum() > 1:
-        found |= _of_flight(track, flown, drawn)
+    found |= _of_flight(track, flight, drawn)
     if timeline is None and not len(track.t_s):
         return found
     known, excused = list[str](), list[str]()
@@ -97,7 +95,7 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str,
         found["reason"] = None if ending == "arrived" else reason or None
     count = len(known)
     if flight.mission.near is None:
-        ready = [e for e in flight.journal if e["kind"] == "plan ready"]
+        ready = _entries(flight, kind="plan ready")
         subpaths = [(np.array(e["control_nea_m"]), e.get("speed_m_s")) for e in ready]
         # planned since then, in a wrong place or where the radar lied, one is right in shape only
         since_s = track.t_s[np.argmax(is_excused)] if is_excused.any() else math.inf
@@ -109,34 +107,44 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str,
     return found | {"violations": count, "violated": "; ".join(known) or None}
 
 
+def _entries(flight: Flight, **like: str) -> list[dict[str, Any]]:
+    """The entries of its journal that have these values."""
+    return [e for e in flight.journal if all(e.get(key) == like[key] for key in like)]
+
+
+def _first_s(entries: Sequence[dict[str, Any]], otherwise_s: float) -> float:
+    """When the first of some entries was written."""
+    return float(entries[0]["t_s"]) if entries else otherwise_s
+
+
 def _came_to(flight: Flight, drawn: DrawnWorld) -> dict[str, Any]:
     """How it ended."""
-    end = next((e for e in reversed(flight.journal) if e["kind"] == "end"), _NO_END)
-    kinds = [entry["kind"] for entry in flight.journal]
+    end = [_NO_END, *_entries(flight, kind="end")][-1]
+    arrived, codes = end["outcome"] == "arrived", ("TAKING_OVER", "TAKEN_OFF")
     return of_task(flight.mission.task, drawn, flight.plans_s) | {
         "outcome": end["outcome"],
-        "reason": None if end["outcome"] == "arrived" else end["reason"],
-        "arrived": end["outcome"] == "arrived",
-        "plans": kinds.count("plan ready") + kinds.count("plan refused"),
-        "holds": sum(
-            entry.get("phase") == "holding" and entry["code"] not in ("TAKING_OVER", "TAKEN_OFF")
-            for entry in flight.journal
-        ),
+        "reason": None if arrived else end["reason"],
+        "arrived": arrived,
+        "plans": sum(e["kind"] in ("plan ready", "plan refused") for e in flight.journal),
+        "holds": sum(e["code"] not in codes for e in _entries(flight, phase="holding")),
     }
 
 
 def _until_stopped(flight: Flight) -> tuple[Flight, bool]:
-    """A flight without what followed when its time was over."""
-    stop = next((k for k, e in enumerate(flight.journal) if e["kind"] == "stop asked"), None)
-    if stop is None:
+    """A flight without what followed when its time was over, and whether that was so."""
+    if not (stop := _entries(flight, kind="stop asked")):
         return flight, False
-    until_s = flight.journal[stop]["t_s"]
-    rows = [row for row in flight.truth if row["t_s"] <= until_s]
-    return replace(flight, journal=flight.journal[:stop], truth=rows), True
+    rows = [row for row in flight.truth if row["t_s"] <= stop[0]["t_s"]]
+    journal = flight.journal[: flight.journal.index(stop[0])]
+    return replace(flight, journal=journal, truth=rows), True
 
 
-def _of_flight(track: "_Track", flown: BoolArray, drawn: DrawnWorld) -> dict[str, Any]:
-    """What was flown; (N,): when."""
+def _of_flight(track: "_Track", flight: Flight, drawn: DrawnWorld) -> dict[str, Any]:
+    """What was flown of subpaths: until it is told to land or is let go."""
+    over = [e for e in flight.journal if e.get("phase") in _OVER and e["t_s"] >= track.begun_s]
+    flown = (track.t_s >= track.begun_s) & (track.t_s <= _first_s(over, math.inf))
+    if flown.sum() < 2:
+        return {}
     t_s, away_m = track.t_s[flown], track.away_m[flown]
     found = of_track(track.points_nea_m[flown], drawn) | {"flight_s": float(t_s[-1] - t_s[0])}
     least = int(np.argmin(away_m))
@@ -216,13 +224,16 @@ def checked(
 class _Track:
     """Where the vehicle truly was in the air, from when its mission first flew; N moments."""
 
-    rows: list[dict[str, Any]]
     t_s: FloatArray
     points_nea_m: FloatArray
     lands: BoolArray
     """Whether it lands or returns by itself: the ground may be near then."""
+    ours: BoolArray
+    """Whether the companion has a say."""
     away_m: FloatArray
     """To the ground, or to the nearest of near things; infinite while it lands."""
+    begun_s: float
+    """When its first subpath was begun, by the journal; -inf: none was."""
 
 
 def _in_the_air(flight: Flight, drawn: DrawnWorld) -> _Track:
@@ -239,11 +250,12 @@ def _in_the_air(flight: Flight, drawn: DrawnWorld) -> _Track:
     else:
         away_m = truth.terrain_distance_m(points, terrain, 2.0 * drawn.task.required_clearance_m)
     return _Track(
-        rows=rows,
         t_s=np.array([row["t_s"] for row in rows]),
         points_nea_m=points,
         lands=lands,
+        ours=_ours(rows, flight),
         away_m=np.where(lands, np.inf, away_m),
+        begun_s=_first_s(_entries(flight, kind="leg"), -math.inf),
     )
 
 
@@ -254,20 +266,24 @@ def _points(rows: Sequence[dict[str, Any]]) -> FloatArray:
 
 
 def _airborne_s(flight: Flight) -> float:
-    phases = (e for e in flight.journal if e.get("phase") == "flying")
-    return next((e["t_s"] for e in phases), math.inf)
+    return _first_s(_entries(flight, phase="flying"), math.inf)
 
 
-def _flown(track: _Track, flight: Flight) -> BoolArray:
-    """When subpaths were flown: until it is told to land or is let go; (N,)."""
-    begun_s = _first_leg_s(flight)
-    over = (e["t_s"] for e in flight.journal if e.get("phase") in _OVER and e["t_s"] >= begun_s)
-    return (track.t_s >= begun_s) & (track.t_s <= next(over, math.inf))
+def _ours(rows: Sequence[dict[str, Any]], flight: Flight) -> BoolArray:
+    """Whether the companion has a say: the mode is guided, or the one that it asked for last; (N,).
 
-
-def _first_leg_s(flight: Flight) -> float:
-    """When its first subpath was begun, by the journal; -inf: none was."""
-    return next((e["t_s"] for e in flight.journal if e["kind"] == "leg"), -math.inf)
+    A mode that was taken away is not given back by the autopilot's own failsafe being over: the
+    companion has let go, and goes on only when it is told to (design 7).
+    """
+    asked = [(-math.inf, ""), *((e["t_s"], e["mode"]) for e in _entries(flight, kind="set mode"))]
+    ours, taken_s = [], -math.inf
+    for row in rows:
+        newest = bisect.bisect_right(asked, row["t_s"], key=lambda each: each[0]) - 1
+        asked_s, wanted = asked[newest]
+        obeyed = row["mode"] in _BY_ORDER.get(wanted, ()) and asked_s >= taken_s
+        ours.append(row["mode"] in GUIDED or obeyed)
+        taken_s = taken_s if ours[-1] else row["t_s"]
+    return np.array(ours, dtype=bool)
 
 
 # --- what the companion could not know or had no say in
@@ -286,7 +302,7 @@ def _excuses(
     is_off = _off_m(flight, t_s) > drawn.task.limits.navigation_error_m
     return {
         "the position was wrong": _lately(t_s, is_off),
-        "somebody else flew": _lately(t_s, ~_ours(track.rows, flight)),
+        "somebody else flew": _lately(t_s, ~track.ours),
         **dict(sorted(known.items())),
     }
 
@@ -308,24 +324,6 @@ def _off_m(flight: Flight, t_s: FloatArray) -> FloatArray:
     return np.linalg.norm(np.subtract(told, true), axis=0)[np.maximum(newest, 0)]
 
 
-def _ours(rows: Sequence[dict[str, Any]], flight: Flight) -> BoolArray:
-    """Whether the companion has a say: the mode is guided, or the one that it asked for last.
-
-    A mode that was taken away is not given back by the autopilot's own failsafe being over: the
-    companion has let go, and goes on only when it is told to (design 7).
-    """
-    asked = [(e["t_s"], e["mode"]) for e in flight.journal if e["kind"] == "set mode"]
-    ours, taken_s = [], -math.inf
-    for row in rows:
-        newest = bisect.bisect_right(asked, row["t_s"], key=lambda each: each[0]) - 1
-        asked_s, wanted = asked[newest] if newest >= 0 else (-math.inf, "")
-        obeyed = row["mode"] in _BY_ORDER.get(wanted, ()) and asked_s >= taken_s
-        ours.append(row["mode"] in GUIDED or obeyed)
-        if not ours[-1]:
-            taken_s = row["t_s"]
-    return np.array(ours, dtype=bool)
-
-
 # --- too near
 
 
@@ -335,28 +333,19 @@ def _gaps_m(
     """True distances that must be d_s or more, (N,); infinite where they do not count."""
     if flight.mission.near is not None or not len(track.t_s):
         return
-    points = track.points_nea_m
     # before that it climbs out from where it stood, also when it goes on after a hold meanwhile
-    yield "terrain", np.where(track.t_s < _first_leg_s(flight), np.inf, track.away_m)
+    yield "terrain", np.where(track.t_s < track.begun_s, np.inf, track.away_m)
     for zone in drawn.task.zones:
-        gap_m = truth.keep_out_distance_m(points, zone)
+        gap_m = truth.keep_out_distance_m(track.points_nea_m, zone)
         yield zone.name, -gap_m if zone.keep_in else gap_m
-    for fence, begun_s in _new_fences(flight, done):
-        gap_m = truth.keep_out_distance_m(points, fence)
-        counts = _could_leave(gap_m, track, flight, begun_s + _KNOWN_AFTER_S, drawn)
-        yield fence.name, np.where(counts, gap_m, np.inf)
-
-
-def _new_fences(flight: Flight, done: Sequence[Happening]) -> Iterator[tuple[CircleZone, float]]:
-    """Fences that come during a flight, so far ahead of the vehicle, and when."""
     for at_s, row, sets in _brought("fence", flight, done):
-        north_m_s, east_m_s = row["velocity_north_m_s"], row["velocity_east_m_s"]
-        ahead_s = sets["ahead_m"] / max(math.hypot(north_m_s, east_m_s), 1e-6)
-        place = {
-            "north_m": row["north_m"] + ahead_s * north_m_s,
-            "east_m": row["east_m"] + ahead_s * east_m_s,
-        }
-        yield CircleZone(name="new fence", **place, radius_m=sets["radius_m"]), at_s
+        velocity_m_s = np.array([row["velocity_north_m_s"], row["velocity_east_m_s"]])
+        ahead_s = sets["ahead_m"] / max(math.hypot(*velocity_m_s), 1e-6)
+        n, e = ahead_s * velocity_m_s + (row["north_m"], row["east_m"])
+        fence = CircleZone(name="new fence", north_m=n, east_m=e, radius_m=sets["radius_m"])
+        gap_m = truth.keep_out_distance_m(track.points_nea_m, fence)
+        counts = _could_leave(gap_m, track, at_s + _KNOWN_AFTER_S, drawn)
+        yield fence.name, np.where(counts, gap_m, np.inf)
 
 
 def _brought(
@@ -370,9 +359,7 @@ def _brought(
             yield at_s, row, each.sets
 
 
-def _could_leave(
-    gap_m: FloatArray, track: _Track, flight: Flight, known_s: float, drawn: DrawnWorld
-) -> BoolArray:
+def _could_leave(gap_m: FloatArray, track: _Track, known_s: float, drawn: DrawnWorld) -> BoolArray:
     """Whether a new fence that is known has been left once, or could have been; (N,).
 
     For so long as the companion has a say: the grace, a turn of a plane, which sets out where its
@@ -384,8 +371,8 @@ def _could_leave(
         return known
     depth_m = max(drawn.task.settings.safety_distance_m - float(gap_m[known][0]), 0.0)
     takes_s = _GRACE_S + (math.tau * limits.loiter_radius_m + 2.0 * depth_m) / limits.speed_m_s
-    led = known & _ours(track.rows, flight)
-    led_s = np.cumsum(np.where(led, np.diff(track.t_s, prepend=track.t_s[:1]), 0.0))
+    passed_s = np.diff(track.t_s, prepend=track.t_s[:1])
+    led_s = np.cumsum(np.where(known & track.ours, passed_s, 0.0))
     is_out = known & (gap_m >= drawn.task.settings.safety_distance_m) & limits.hovers
     return known & ((led_s >= takes_s) | np.maximum.accumulate(is_out))
 
@@ -415,10 +402,10 @@ def _ending(
     flight: Flight, drawn: DrawnWorld, done: Sequence[Happening], *, is_cut: bool
 ) -> tuple[str, str]:
     """How it ended, and the reason in words."""
-    end = next((e for e in flight.journal if e["kind"] == "end"), None)
+    end = next(iter(_entries(flight, kind="end")), None)
     if end is None and not is_cut:
         return "unexplained: no end", "the journal has none"
-    said = [e for e in flight.journal if e["kind"] == "phase" and e["phase"] != "done"]
+    said = [e for e in _entries(flight, kind="phase") if e["phase"] != "done"]
     phase, reason = (said[-1]["phase"], said[-1].get("reason")) if said else ("", None)
     reason = (end["reason"] if end else None) or reason or ""
     if all(row["landed"] for row in flight.truth):

@@ -1,14 +1,12 @@
 """What a campaign came to, as tables for a page and for the terminal, and as CSV."""
 
-import csv
-import io
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
-from statistics import median
 from typing import Final, NamedTuple
 
+import polars as pl
 from rich.table import Table
 from rich.text import Text
 
@@ -19,22 +17,18 @@ from companion.campaign.statistics import (
     MEASURES,
     TASK,
     Figure,
-    Measure,
     groups,
     pairs,
-    split,
     varying,
 )
 from companion.campaign.store import Row, facts_of, read_rows
 from companion.errors import InputError
-from companion.extras import need
 
 _MOST_VALUES: Final = 24
 """Of a factor that has a table without being asked for."""
 _WORST: Final = 10
 _FEW: Final = 20
 _DRAWN_BY: Final = ("family_seed", "family_index")
-_WHY: Final = ("outcome", "reason")
 _PAIRS_HEAD: Final = (
     *("group", "against", "measure", "pairs", "difference"),
     *("better", "alike", "worse", "p", "p, Holm"),
@@ -45,8 +39,8 @@ class Campaign(NamedTuple):
     """The rows of a campaign as far as it has come."""
 
     folder: Path
-    rows: tuple[Row, ...]
-    """By their numbers."""
+    rows: pl.DataFrame
+    """By their numbers; `store.COLUMNS`."""
     expected: int | None
     """Runs that it has in all; None: that is not known."""
     source: tuple[str, ...]
@@ -76,16 +70,14 @@ class Report(NamedTuple):
 
 def read_campaign(folder: Path) -> Campaign:
     """The data set of a campaign.  Raises InputError."""
-    need("campaign", "FOLDER", str(folder))
-    found = read_rows("FOLDER", folder, [each.name for each in fields(Row)])
-    facts = facts_of(folder)
+    rows, facts = read_rows("FOLDER", folder), facts_of(folder)
     expected = facts.get("runs")
-    if not found and expected is None:
+    if rows.is_empty() and expected is None:
         remedy = "Give the folder that companion campaign has written."
         raise InputError("FOLDER", str(folder), "it holds no campaign", remedy)
     return Campaign(
         folder=folder,
-        rows=tuple(sorted((Row(**row) for row in found), key=lambda row: row.run)),
+        rows=rows,
         expected=expected if isinstance(expected, int) else None,
         source=tuple(map(str, facts.get("source") or [folder / "campaign.toml"])),
     )
@@ -100,7 +92,7 @@ def report_of(campaign: Campaign, by: Sequence[str] = ()) -> Report:
     rows, notes = campaign.rows, _notes(campaign)
     chosen = [tuple(dict.fromkeys(by))] if by else []
     for factor, count in varying(rows).items() if not by else ():
-        if factor in _DRAWN_BY and any(row.family != SPREAD for row in rows if row.family):
+        if factor in _DRAWN_BY and set(rows["family"]) - {None, SPREAD}:
             continue
         if count <= _MOST_VALUES:
             chosen.append((factor,))
@@ -114,16 +106,14 @@ def report_of(campaign: Campaign, by: Sequence[str] = ()) -> Report:
         tables.append(_of_groups(of_groups))
         if of_pairs or said:
             tables.append(_of_pairs(of_pairs, said))
-    bad = [_of_worst(kind, runs, campaign) for kind, runs in worst(rows).items()]
-    return Report(campaign, notes, figures, tables, bad)
+    return Report(campaign, notes, figures, tables, _worst(campaign))
 
 
 def _notes(campaign: Campaign) -> list[str]:
     rows = campaign.rows
     missing = max((campaign.expected or 0) - len(rows), 0)
-    errors = sum(row.error is not None for row in rows)
-    unchecked = sum(row.violations is None for row in rows)
-    versions = sorted({row.version for row in rows})
+    errors, unchecked = rows["error"].count(), rows["violations"].null_count()
+    versions = rows["version"].unique().sort().to_list()
     told = {
         f"Not finished: {missing:,} of {campaign.expected or 0:,} runs have no row yet. What is "
         "missing may differ from what is here; the command that began it goes on.": missing,
@@ -142,19 +132,19 @@ def _notes(campaign: Campaign) -> list[str]:
 
 def _of_groups(figures: Sequence[Figure]) -> Sheet:
     """One row for each group, with all its measures."""
-    shown = {figure.measure.name for figure in figures}
-    measures = [measure for measure in MEASURES if measure.name in shown]
+    shown = [measure for measure in MEASURES if any(f.measure is measure for f in figures)]
     table = dict[str, dict[str, Figure]]()
     for figure in figures:
         table.setdefault(figure.group, {})[figure.measure.name] = figure
     rows = []
     for group, found in table.items():
         count = found["arrived"].n  # every run has one
-        cells = [_cell(found.get(measure.name), count) for measure in measures]
+        cells = [_cell(found.get(measure.name), count) for measure in shown]
         rows.append((group, f"{count:,}", *cells))
     by = figures[0].by if figures else ""
     title = f"By {by}" if by else "All runs" if rows else "No run has a row yet"
-    return Sheet(title=title, head=(by, "runs", *map(_head, measures)), rows=rows)
+    units = (f"{measure.words}{measure.unit and ', '}{measure.unit}" for measure in shown)
+    return Sheet(title=title, head=(by, "runs", *units), rows=rows)
 
 
 def _cell(figure: Figure | None, runs: int) -> str:
@@ -178,10 +168,6 @@ def value_text(figure: Figure) -> str:
     return f"{value} [{', '.join(interval)}]" if interval else value
 
 
-def _head(measure: Measure) -> str:
-    return f"{measure.words}{measure.unit and ', '}{measure.unit}"
-
-
 def _of_pairs(figures: Sequence[Figure], notes: Sequence[str]) -> Sheet:
     rows = [
         (
@@ -195,52 +181,60 @@ def _of_pairs(figures: Sequence[Figure], notes: Sequence[str]) -> Sheet:
     return Sheet(title="In pairs", head=_PAIRS_HEAD, rows=rows, words=3, notes=notes)
 
 
-_Bad = list[tuple[Row, str]]
-"""Runs, the worst first, and what is bad about each."""
-
-
-def worst(rows: Sequence[Row]) -> dict[str, _Bad]:
-    """The worst runs of each kind; no kind of which there is none."""
-    violated = sorted((r for r in rows if r.violations), key=lambda r: -(r.violations or 0))
-    low = [(r.clearance_least_m, r.clearance_least_t_s, r)
-           for r in rows if r.clearance_least_m is not None]  # fmt: skip
-    tasks = split((row for row in rows if row.arrived and row.cost), TASK).values()
-    dear = [(r.cost / median(e.cost or 0.0 for e in runs), len(runs), r)
-            for runs in tasks if len(runs) > 1 for r in runs if r.cost]  # fmt: skip
-    lost = split((row for row in rows if not row.arrived and row.error is None), _WHY)
-    found = {
-        "Violations": [(r, f"{r.violations}: {r.violated or 'not said which'}") for r in violated],
-        "Errors": [(row, row.error) for row in rows if row.error is not None],
-        "Not arrived": [
-            (runs[0], f"{outcome}: {reason or 'no reason given'} ({len(runs):,} runs)")
-            for (outcome, reason), runs in sorted(lost.items(), key=lambda each: -len(each[1]))
-        ],
-        "Dearest": [
-            (row, f"{ratio:.3f} times the median of {count} runs")
-            for ratio, count, row in sorted(dear, key=lambda each: -each[0])
-        ],
-        "Least clearance": [
-            (row, f"{metres:.1f} m" + (f" at {at_s:,.0f} s" if at_s is not None else ""))
-            for metres, at_s, row in sorted(low, key=lambda each: each[0])
-        ],
+def _worst(campaign: Campaign) -> list[Sheet]:
+    """The worst runs of each kind, the worst first; no kind of which there is none."""
+    rows, error = campaign.rows, pl.col("error")
+    median = pl.col("cost").median().over(TASK)
+    dear = rows.filter(pl.col("arrived"), pl.col("cost") > 0.0)
+    dear = dear.with_columns(ratio=pl.col("cost") / median, runs=pl.len().over(TASK))
+    why = rows.filter(~pl.col("arrived"), error.is_null())
+    why = why.with_columns(runs=pl.len().over("outcome", "reason")).unique(
+        ["outcome", "reason"], keep="first", maintain_order=True
+    )
+    found: dict[str, tuple[pl.DataFrame, Callable[[Row], str]]] = {
+        "Violations": (
+            rows.filter(pl.col("violations") > 0).sort(-pl.col("violations"), maintain_order=True),
+            lambda row: f"{row['violations']}: {row['violated'] or 'not said which'}",
+        ),
+        "Errors": (rows.filter(error.is_not_null()), lambda row: str(row["error"])),
+        "Not arrived": (
+            why.sort("runs", descending=True, maintain_order=True),
+            lambda row: (
+                f"{row['outcome']}: {row['reason'] or 'no reason given'} ({row['runs']:,} runs)"
+            ),
+        ),
+        "Dearest": (
+            dear.filter(pl.col("runs") > 1).sort("ratio", descending=True, maintain_order=True),
+            lambda row: f"{row['ratio']:.3f} times the median of {row['runs']} runs",
+        ),
+        "Least clearance": (
+            rows.drop_nulls("clearance_least_m").sort("clearance_least_m", maintain_order=True),
+            _least_clearance,
+        ),
     }
-    return {kind: runs for kind, runs in found.items() if runs}
+    sheets = []
+    for kind, (runs, says) in found.items():
+        shown = [
+            (str(row["run"]), row["key"], says(row), replay_command(campaign, row))
+            for row in runs.head(_WORST).iter_rows(named=True)
+        ]
+        title = f"{kind}: {len(shown)} of {len(runs):,}" if len(runs) > len(shown) else kind
+        head = ("run", "factors", "what", "see it again")
+        sheets += [Sheet(title=title, head=head, rows=shown, words=4)] if shown else []
+    return sheets
 
 
-def _of_worst(kind: str, found: _Bad, campaign: Campaign) -> Sheet:
-    rows = [
-        (str(row.run), row.key, said, replay_command(campaign, row)) for row, said in found[:_WORST]
-    ]
-    title = f"{kind}: {len(rows)} of {len(found):,}" if len(found) > len(rows) else kind
-    return Sheet(title=title, head=("run", "factors", "what", "see it again"), rows=rows, words=4)
+def _least_clearance(row: Row) -> str:
+    at_s = row["clearance_least_t_s"]
+    return f"{row['clearance_least_m']:.1f} m" + ("" if at_s is None else f" at {at_s:,.0f} s")
 
 
 def replay_command(campaign: Campaign, row: Row) -> str:
     """The command that shows a run again: its folder replayed, or the run flown again."""
-    if row.folder and row.over == "process":
-        return shlex.join(["companion", "replay", str(campaign.folder / row.folder)])
-    again = f"{campaign.folder}-run-{row.run}"
-    asked = ["--only", str(row.run), "--keep", "all", "--out", again]
+    if row["folder"] and row["over"] == "process":
+        return shlex.join(["companion", "replay", str(campaign.folder / row["folder"])])
+    again = f"{campaign.folder}-run-{row['run']}"
+    asked = ["--only", str(row["run"]), "--keep", "all", "--out", again]
     return shlex.join(["companion", "campaign", "run", *campaign.source, *asked])
 
 
@@ -272,8 +266,9 @@ def report_html(report: Report) -> str:
 
 def figures_csv(report: Report) -> str:
     """Every figure of the report: rates, medians, and differences in pairs."""
-    file = io.StringIO()
-    writer = csv.DictWriter(file, [each.name for each in fields(Figure)], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(asdict(f) | {"measure": f.measure.name} for f in report.figures)
-    return file.getvalue()
+    figures = [
+        asdict(each) | {"by": each.by or None, "measure": each.measure.name}
+        for each in report.figures
+    ]
+    columns = [each.name for each in fields(Figure)]
+    return pl.DataFrame(figures, columns, infer_schema_length=None).write_csv()

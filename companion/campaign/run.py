@@ -19,13 +19,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from companion.campaign import drawn_faults, families, in_process, judge
-from companion.campaign.drawn_world import DrawnWorld, of_files, write
+from companion.campaign.drawn_world import DrawnWorld, of_files, tables_of
 from companion.campaign.file import Knowledge, Place, Run
 from companion.campaign.in_process import FlightFiles
 from companion.campaign.store import Row
 from companion.config import folder_of, load_world, mission_text, world_table
 from companion.errors import InputError
 from companion.geodesy import FloatArray
+from companion.optimise.registry import OPTIMISERS
 from companion.planner.offline import OfflineFlight, TerrainRadar, fly_offline
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.planning import OURS, planner_of
@@ -52,7 +53,8 @@ def fly_run(run: Run, out: Path) -> Row:
     folder = Path(tempfile.mkdtemp(prefix=".new-", dir=room))
     try:
         found = _flown(run, folder)
-        if run.keep == "all" or (run.keep == "failures" and _failed(found)):
+        failed = not found["arrived"] or bool(found.get("violations"))
+        if run.keep == "all" or (run.keep == "failures" and failed):
             found["folder"] = f"{_ROOT}/{run.number:06d}"
             kept = out / found["folder"]
             shutil.rmtree(kept, ignore_errors=True)  # of a worker that was lost
@@ -64,29 +66,23 @@ def fly_run(run: Run, out: Path) -> Row:
     return row_of(run, found)
 
 
-def _failed(found: dict[str, Any]) -> bool:
-    return not found["arrived"] or bool(found.get("violations"))
-
-
-def row_of(run: Run, found: dict[str, Any]) -> Row:
-    """The row of a run, with what was found of it; `error` alone if nothing came back."""
+def row_of(run: Run, found: Row) -> Row:
+    """The row of a run, with what was found of it."""
     place = run.place
-    known: dict[str, Any] = {"profile": "", "optimiser": "", "budget": 0, **run.factors}
-    known |= {name: getattr(place, name) for name in _OF_PLACE}
-    known |= {"outcome": "error", "arrived": False, "took_s": 0.0, "cpu_s": 0.0, "folder": ""}
-    return Row(
-        run=run.number,
-        key=run.key,
-        seed=run.seed,
-        world=Path(place.world).parent.name if place.world.endswith(".toml") else place.world,
-        over=run.over,
-        version=version("companion"),
-        worker=f"{platform.node()}/{os.getpid()}",
-        **(known | found),
-    )
+    name = Path(place.world).parent.name if place.world.endswith(".toml") else place.world
+    usual = {"profile": "", "optimiser": "", "budget": 0, "planner": OURS, "knowledge": "scans"}
+    about = {"run": run.number, "key": run.key, "seed": run.seed, "world": name, "over": run.over}
+    about |= {name: getattr(place, name) for name in _OF_PLACE} | usual | run.factors
+    flown = {"version": version("companion"), "worker": f"{platform.node()}/{os.getpid()}"}
+    return about | flown | {"took_s": 0.0, "cpu_s": 0.0, "folder": ""} | found
 
 
-def _flown(run: Run, folder: Path) -> dict[str, Any]:
+def error_of(error: str) -> Row:
+    """What is found of a run that raised this."""
+    return {"outcome": "error", "arrived": False, "error": error}
+
+
+def _flown(run: Run, folder: Path) -> Row:
     try:
         if run.over == "planner":
             return _planned(run, folder)
@@ -101,8 +97,7 @@ def _flown(run: Run, folder: Path) -> dict[str, Any]:
         cause = error.__cause__ or error
         if isinstance(cause, OSError) and cause.errno in _FULL:
             raise OSError(cause.errno, cause.strerror, str(folder.parent)) from None
-        text = " ".join(f"{type(error).__name__}: {error}".split())
-        return {"outcome": "error", "arrived": False, "error": text}
+        return error_of(" ".join(f"{type(error).__name__}: {error}".split()))
 
 
 # --- the planner alone
@@ -152,7 +147,7 @@ def fly_alone(
     return AloneFlight(flight, points, plan_s, "" if flight.failure is None else flight.failure.why)
 
 
-def _planned(run: Run, folder: Path) -> dict[str, Any]:
+def _planned(run: Run, folder: Path) -> Row:
     drawn, changes = drawn_of(run.place), _of_planner(run)
     if "profile" in changes:
         changes["profile"] = PROFILES[changes["profile"]]
@@ -160,8 +155,8 @@ def _planned(run: Run, folder: Path) -> dict[str, Any]:
     drawn = replace(drawn, task=replace(drawn.task, settings=settings))
     if run.keep != "none":
         _files(run, folder)
-    planner, knowledge = (run.factors.get(name) for name in ("planner", "knowledge"))
-    flown = fly_alone(drawn, planner or OURS, knowledge=knowledge or "scans", seed=run.seed)
+    planner, knowledge = run.factors.get("planner", OURS), run.factors.get("knowledge", "scans")
+    flown = fly_alone(drawn, planner, knowledge=knowledge, seed=run.seed)
     found = judge.of_task(drawn.task, drawn, flown.plan_s) | {
         "outcome": "failed" if flown.why else "arrived",
         "reason": flown.why or None,
@@ -169,11 +164,10 @@ def _planned(run: Run, folder: Path) -> dict[str, Any]:
         "plans": len(flown.plan_s),
         "holds": flown.whole.holds,
     }
-    legs = flown.whole.legs  # tails included
-    subpaths = [(leg.subpath.control_nea_m, leg.speed_m_s) for leg in legs]
-    is_ours = planner in (None, OURS)
+    subpaths = [(leg.subpath.control_nea_m, leg.speed_m_s) for leg in flown.whole.legs]
     if subpaths:
         found |= judge.of_track(flown.points_nea_m, drawn)
+    is_ours = planner == OURS
     bounds = None if is_ours else _OF_PLACES  # rivals turn on the spot
     return found | judge.checked(subpaths, drawn, joined=is_ours, bounds=bounds)
 
@@ -196,21 +190,21 @@ def _of_planner(run: Run) -> dict[str, Any]:
 
 def _files(run: Run, folder: Path) -> FlightFiles:
     """World and mission of a run, with its factors, as companion and vehicle read them."""
-    place = run.place
+    place, asked = run.place, run.factors.get("vehicle")
     if place.family is not None:
-        autopilot: Any = run.factors.get("vehicle", "ardupilot").partition("-")[0]
-        write(drawn_of(place), folder, autopilot)
-        world_name, mission_name = str(folder / "world.toml"), str(folder / "mission.toml")
+        autopilot: Any = (asked or "ardupilot").partition("-")[0]
+        world, mission = tables_of(drawn_of(place), autopilot)
     else:
-        world_name, mission_name = place.world, place.mission or place.world
-    load_world(world_name)  # says in one line what is wrong with it
-    world, mission = world_table(world_name), toml_table(mission_text(mission_name), mission_name)
-    for table, name in ((world, world_name), (mission, mission_name)):
-        terrain = table.get("terrain")
-        if isinstance(terrain, dict) and "file" in terrain:  # wherever the files are copied to
-            file = folder_of(name).absolute() / terrain["file"]
-            table["terrain"] = terrain | {"file": str(file)}
-    if (asked := run.factors.get("vehicle")) is not None:
+        mission_name = place.mission or place.world
+        load_world(place.world)  # says in one line what is wrong with it
+        world = world_table(place.world)
+        mission = toml_table(mission_text(mission_name), mission_name)
+        for table, name in ((world, place.world), (mission, mission_name)):
+            terrain = table.get("terrain")
+            if isinstance(terrain, dict) and "file" in terrain:  # wherever the files are copied to
+                file = folder_of(name).absolute() / terrain["file"]
+                table["terrain"] = terrain | {"file": str(file)}
+    if asked is not None:
         autopilot, kind = asked.split("-")
         is_ideal = (world["vehicle"]["autopilot"], asked) == ("ideal", "ardupilot-copter")
         for table, name in ((world, "ideal" if is_ideal else autopilot), (mission, autopilot)):
@@ -224,12 +218,10 @@ def _files(run: Run, folder: Path) -> FlightFiles:
         of = mission["vehicle"]
         autopilot = of.get("autopilot") or world["vehicle"]["autopilot"]
         vehicle = f"{autopilot}-{of['kind']}".replace("ideal", "ardupilot")
-        subject = drawn_faults.Subject(vehicle=vehicle, speed_m_s=of["speed_m_s"])
-        name, more = drawn_faults.drawn(run.script, subject)
+        name, more = drawn_faults.drawn(run.script, vehicle, of["speed_m_s"])
         lines.append(more)
     given = folder / "asked"  # mission.toml of a run folder is written by who flies
     given.mkdir()
-    (folder / "mission.toml").unlink(missing_ok=True)
     (folder / "world.toml").write_text(toml_text(world), encoding="utf-8")
     (given / "mission.toml").write_text(toml_text(mission), encoding="utf-8")
     return FlightFiles(
@@ -249,13 +241,15 @@ def check_runs(runs: Sequence[Run], where: str) -> None:
 
     One run of each kind is looked at; of a family, one world.
     """
-    for planner in {run.factors.get("planner") or OURS for run in runs}:
-        planner_of(planner, "factors.planner")
     kinds = dict[Any, Run]()
     for run in runs:
         place = run.place.family or (run.place.world, run.place.mission)
         names = tuple(choice.name for choice in run.choices)
         kinds.setdefault((place, names, run.factors.get("vehicle")), run)
+    for planner in {run.factors.get("planner", OURS) for run in runs}:
+        planner_of(planner, "factors.planner")
+    for optimiser in {run.factors["optimiser"] for run in runs if "optimiser" in run.factors}:
+        OPTIMISERS.chosen(optimiser, "factors.optimiser")
     for run in kinds.values():
         try:
             with tempfile.TemporaryDirectory() as folder:

@@ -4,17 +4,15 @@ Rates have Wilson intervals, all else bootstrap intervals, of 95 %.  Runs that d
 alone, in the same world with the same seed, are compared in pairs.
 """
 
-import math
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
+import polars as pl
 from scipy.stats import binomtest, bootstrap, wilcoxon
 
 from companion.campaign.file import FactorsTable
-from companion.campaign.store import Row
 from companion.geodesy import FloatArray
 
 CONFIDENCE: Final = 0.95
@@ -36,8 +34,8 @@ class Measure(NamedTuple):
 
     name: str
     words: str
-    of: Callable[[Row], float | None]
-    """Of a run; None: it has none, which counts neither way."""
+    of: pl.Expr
+    """Of a row; null: it has none, which counts neither way."""
     unit: str = ""
     digits: int = 1
     """Decimals to show."""
@@ -47,33 +45,24 @@ class Measure(NamedTuple):
     """Whether two runs are compared by their ratio; else by their difference, as rates are."""
 
 
-def _if_arrived(name: str) -> Callable[[Row], float | None]:
-    """A column that means something only if the run arrived."""
-    return lambda row: getattr(row, name) if row.arrived else None
+def _if_arrived(value: pl.Expr) -> pl.Expr:
+    """What means something only if the run arrived."""
+    return pl.when("arrived").then(value)
 
 
-def _detour(row: Row) -> float | None:
-    if not (row.arrived and row.length_m and row.straight_m):
-        return None
-    return row.length_m / row.straight_m
-
-
-def _violated(row: Row) -> float | None:
-    return None if row.violations is None else float(row.violations > 0)
-
-
+_DETOUR: Final = pl.col("length_m") / pl.when(pl.col("straight_m") > 0.0).then("straight_m")
 MEASURES: Final = (
-    Measure("arrived", "arrived", lambda r: float(r.arrived), "%", 1, True, True, False),
-    Measure("violated", "violated a bound", _violated, "%", 1, False, True, False),
-    Measure("cost", "cost J", _if_arrived("cost"), digits=2),
-    Measure("detour", "length / straight", _detour, digits=3),
-    Measure("flight_s", "flight time", _if_arrived("flight_s"), "s", 0),
+    Measure("arrived", "arrived", pl.col("arrived"), "%", 1, True, True, False),
+    Measure("violated", "violated a bound", pl.col("violations") > 0, "%", 1, False, True, False),
+    Measure("cost", "cost J", _if_arrived(pl.col("cost")), digits=2),
+    Measure("detour", "length / straight", _if_arrived(_DETOUR), digits=3),
+    Measure("flight_s", "flight time", _if_arrived(pl.col("flight_s")), "s", 0),
     Measure(
-        *("clearance_least_m", "least clearance", lambda r: r.clearance_least_m, "m"),
+        *("clearance_least_m", "least clearance", pl.col("clearance_least_m"), "m"),
         more_is_better=True,
         in_percent=False,
     ),
-    Measure("plan_ms_median", "planning time", lambda r: r.plan_ms_median, "ms"),
+    Measure("plan_ms_median", "planning time", pl.col("plan_ms_median"), "ms"),
 )
 
 
@@ -110,40 +99,43 @@ class Figure:
 # --- groups
 
 
-def label(values: Iterable[object]) -> str:
-    """A group by the values of its factors."""
-    return ", ".join("none" if value is None else str(value) for value in values) or "all"
+def split(rows: pl.DataFrame, by: Sequence[str]) -> dict[str, pl.DataFrame]:
+    """Groups of rows by the values of some factors, in words, in the order of the campaign."""
+    if not by or rows.is_empty():
+        return {} if rows.is_empty() else {"all": rows}
+    found = rows.sort("run").partition_by(by, maintain_order=True, as_dict=True)
+    return {
+        ", ".join("none" if value is None else str(value) for value in values): runs
+        for values, runs in found.items()
+    }
 
 
-def split(rows: Iterable[Row], by: Sequence[str]) -> dict[tuple[Any, ...], list[Row]]:
-    """Rows by the values of some factors, in the order of the campaign."""
-    found: dict[tuple[Any, ...], list[Row]] = defaultdict(list)
-    for row in sorted(rows, key=lambda row: row.run):
-        found[tuple(getattr(row, factor) for factor in by)].append(row)
-    return dict(found)
-
-
-def varying(rows: Sequence[Row]) -> dict[str, int]:
+def varying(rows: pl.DataFrame) -> dict[str, int]:
     """The factors that differ between runs, with how many values each has."""
-    counts = {factor: len({getattr(row, factor) for row in rows}) for factor in FACTORS}
+    counts = {factor: rows[factor].n_unique() for factor in FACTORS}
     return {factor: count for factor, count in counts.items() if count > 1}
 
 
-def groups(rows: Iterable[Row], by: Sequence[str]) -> list[Figure]:
+def _measured(rows: pl.DataFrame) -> pl.DataFrame:
+    """Runs by their factors, with every measure in words."""
+    measures = (measure.of.cast(pl.Float64).alias(measure.words) for measure in MEASURES)
+    return rows.select("run", "seed", *FACTORS, *measures)
+
+
+def groups(rows: pl.DataFrame, by: Sequence[str]) -> list[Figure]:
     """Every measure of every group, without those that no run of a group has."""
     found = []
-    for values, runs in split(rows, by).items():
-        who: dict[str, Any] = {"by": " × ".join(by), "group": label(values)}
+    for group, runs in split(_measured(rows), by).items():
         for measure in MEASURES:
-            known = np.sort([value for row in runs if (value := measure.of(row)) is not None])
-            if measure.is_rate and len(known):
-                value, low, high = rate(round(known.sum()), len(known))
-            elif len(known):
-                value, low, high = bootstrapped(np.median, known)
-            else:
+            known = runs[measure.words].drop_nulls().sort().to_numpy()
+            if not len(known):
                 continue
-            who |= {"n": len(known), "value": value, "low": low, "high": high}
-            found.append(Figure(measure=measure, **who))
+            if measure.is_rate:
+                value, low, high = rate(round(known.sum()), len(known))
+            else:
+                value, low, high = bootstrapped(np.median, known)
+            who: dict[str, Any] = {"by": " × ".join(by), "group": group, "measure": measure}
+            found.append(Figure(**who, n=len(known), value=value, low=low, high=high))
     return found
 
 
@@ -178,7 +170,7 @@ def bootstrapped(statistic: Callable[..., Any], values: FloatArray) -> Interval:
 # --- pairs
 
 
-def pairs(rows: Iterable[Row], by: Sequence[str]) -> tuple[list[Figure], list[str]]:
+def pairs(rows: pl.DataFrame, by: Sequence[str]) -> tuple[list[Figure], list[str]]:
     """Every group against the first of the campaign -> figures, and what to know of them.
 
     Two runs are a pair if they have all in common but what parts the groups.  Groups that differ in
@@ -186,59 +178,54 @@ def pairs(rows: Iterable[Row], by: Sequence[str]) -> tuple[list[Figure], list[st
     """
     if set(by) <= set(TASK):
         return [], []
-    (first, reference), *others = split(rows, by).items()
-    paired, notes = dict[str, list[tuple[Row, Row]]](), list[str]()
-    for values, runs in others:
-        group, pair = label(values), f"{label(values)} against {label(first)}"
+    (first, reference), *others = split(_measured(rows), by).items()
+    paired, notes = dict[str, pl.DataFrame](), list[str]()
+    for group, runs in others:
+        pair = f"{group} against {first}"
         paired[group], along = _paired(reference, runs, by)
         count = len(paired[group])
-        notes += [
-            f"{pair}: {factor} differs with it: either may be the reason." for factor in along
-        ]
-        left_out = len(runs) - count, len(reference) - count
-        if any(left_out):
-            notes.append(
-                f"{pair}: {left_out[0]} and {left_out[1]} runs have no partner, or several."
-            )
+        alone = len(runs) - count, len(reference) - count
+        notes += [f"{pair}: {each} differs with it: either may be the reason." for each in along]
+        if any(alone):
+            notes.append(f"{pair}: {alone[0]} and {alone[1]} runs have no partner, or several.")
         if not count:
             notes.append(f"{pair}: nothing to pair, more differs; name that too with --by.")
     found = []
     for measure in MEASURES:
-        differences = {group: _apart(measure, chosen) for group, chosen in paired.items()}
+        differences = {group: _apart(measure, both) for group, both in paired.items()}
         tested = {group: _compared(measure, d) for group, d in differences.items() if len(d)}
         corrected = holm([told["p"] for told in tested.values()])
-        who: dict[str, Any] = {"by": " × ".join(by), "against": label(first), "measure": measure}
+        who: dict[str, Any] = {"by": " × ".join(by), "against": first, "measure": measure}
         for (group, told), p_holm in zip(tested.items(), corrected, strict=True):
             found.append(Figure(group=group, p_holm=p_holm, **who, **told))
     return found, notes
 
 
 def _paired(
-    reference: list[Row], other: list[Row], by: Sequence[str]
-) -> tuple[list[tuple[Row, Row]], list[str]]:
-    """Pairs, and factors that have one value in each group, and not the same."""
+    reference: pl.DataFrame, other: pl.DataFrame, by: Sequence[str]
+) -> tuple[pl.DataFrame, list[str]]:
+    """Pairs, a row each, and factors that have one value in each group, and not the same.
+
+    Columns of the other run of a pair end in `_right`.
+    """
     kept, along = ["seed"], list[str]()
     for factor in (factor for factor in FACTORS if factor not in by):
-        a, b = ({getattr(row, factor) for row in side} for side in (reference, other))
+        a, b = set(reference[factor]), set(other[factor])
         (along if len(a) == len(b) == 1 and a != b else kept).append(factor)
-    ours, theirs = split(reference, kept), split(other, kept)
-    both = [(ours[key], theirs[key]) for key in ours if key in theirs]
-    return [(a[0], b[0]) for a, b in both if len(a) == len(b) == 1], along
+    single = pl.len().over(kept) == 1
+    left, right = reference.filter(single), other.filter(single)
+    return left.join(right, on=kept, nulls_equal=True, maintain_order="left"), along
 
 
-def _apart(measure: Measure, chosen: Iterable[tuple[Row, Row]]) -> FloatArray:
+def _apart(measure: Measure, paired: pl.DataFrame) -> FloatArray:
     """By how much the second runs of pairs are above the first, sorted: 0 of those that are alike.
 
     (N,): of the pairs that both have the measure.
     """
-    apart = []
-    for one, other in chosen:
-        before, after = measure.of(one), measure.of(other)
-        if before is None or after is None or (measure.in_percent and before == 0.0):
-            continue
-        by = 0.0 if math.isclose(before, after, rel_tol=_SAME) else after - before
-        apart.append(100.0 * by / abs(before) if measure.in_percent else by)
-    return np.sort(apart)
+    both = paired.select(measure.words, f"{measure.words}_right").drop_nulls().to_numpy()
+    before, after = both[both[:, 0] != 0.0].T if measure.in_percent else both.T
+    apart = np.where(np.isclose(before, after, rtol=_SAME, atol=0.0), 0.0, after - before)
+    return np.sort(100.0 * apart / np.abs(before) if measure.in_percent else apart)
 
 
 def _compared(measure: Measure, apart: FloatArray) -> dict[str, Any]:
@@ -256,8 +243,7 @@ def _compared(measure: Measure, apart: FloatArray) -> dict[str, Any]:
 
 def holm(p_values: Sequence[float]) -> list[float]:
     """Holm's step-down correction, in the order given."""
-    count, corrected, highest = len(p_values), [0.0] * len(p_values), 0.0
-    for rank, at in enumerate(sorted(range(count), key=p_values.__getitem__)):
-        highest = max(highest, min((count - rank) * p_values[at], 1.0))
-        corrected[at] = highest
-    return corrected
+    order, corrected = np.argsort(p_values), np.empty(len(p_values))
+    steps = np.minimum(np.arange(len(order), 0, -1) * np.array(p_values)[order], 1.0)
+    corrected[order] = np.maximum.accumulate(steps)
+    return [float(p) for p in corrected]

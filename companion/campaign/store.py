@@ -11,137 +11,94 @@ flown again, and is the same.  Two writers at once are refused.
 """
 
 import fcntl
+import io
 import json
 import shutil
-import typing
+import time
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, final
+from typing import TYPE_CHECKING, Any, Final, Self, final
 
 from companion.errors import InputError
 from companion.extras import need
 from companion.telemetry.run_folder import replace_whole
 
 if TYPE_CHECKING:
-    import pyarrow as pa
+    import polars as pl
 
-TIMING = ("took_s", "cpu_s", "plan_ms_median", "plan_ms_p99", "worker")
+Row = dict[str, Any]
+"""One run, by the names of COLUMNS: its factors, what came of it, how long it took.
+
+What does not apply is None, or not there."""
+
+COLUMNS: Final[dict[str, type]] = {
+    "run": int,  # its number in the campaign, from 0
+    "key": str,  # its factors, by which it is known: `gathered/7/flight/refined-de/seed-3`
+    "seed": int,  # of search and vehicle; runs that differ in one factor alone have it in common
+    # factors
+    "world": str,
+    "family": str,  # of random worlds: with the next two it is drawn again
+    "family_seed": int,
+    "family_index": int,
+    "mission": str,
+    "vehicle": str,  # `ardupilot-copter`, ...; of the planner alone: None
+    "profile": str,
+    "optimiser": str,
+    "budget": int,  # evaluations for one subpath
+    "sensor": str,
+    "faults": str,
+    "wind": str,
+    "noise": str,
+    "planner": str,  # `ours`, or a rival for whole routes
+    "knowledge": str,  # what the planner is told: `scans`, or `full`: all of the ground
+    "over": str,  # `process` or `planner`
+    # results
+    "outcome": str,  # `arrived`, or how it ended instead; `error` if the run raised
+    "reason": str,  # why it did not arrive
+    "arrived": bool,
+    "violations": int,  # subpaths that break a bound in the dense check against the true world;
+    # with faults all that the companion could know of, and endings that nobody explains (`judge`)
+    "violated": str,  # which: `leg 3: terrain clearance; ...`
+    "timeline": str,  # what went wrong
+    "ending": str,  # with faults: `arrived`, `held and resumed`, `held for good`, `landed`,
+    # `returned`, `let go`, `refused`, `fell`, or `unexplained: ...`
+    "excused": str,  # with faults: what was too near, and why it could not know
+    "length_m": float,  # of what was flown
+    "straight_m": float,  # of the straight way from target to target
+    "cost": float,  # J of eq. 5 along what was flown: the next three together
+    "cost_length": float,
+    "cost_height": float,
+    "cost_radar": float,
+    "clearance_least_m": float,  # true distance to the ground, at most twice what is required
+    "clearance_least_t_s": float,  # when, in vehicle time
+    "subpaths_checked": int,
+    "plans": int,  # answers of the planner, refusals too
+    "holds": int,  # stops on the way
+    "flight_s": float,  # vehicle time from take-off
+    "folder": str,  # of the run, within the campaign's; empty if it was not kept
+    "error": str,  # what the run raised, in one line
+    "version": str,
+    # timing
+    "took_s": float,
+    "cpu_s": float,  # processor time
+    "plan_ms_median": float,
+    "plan_ms_p99": float,
+    "worker": str,  # machine and process
+}
+TIMING: Final = ("took_s", "cpu_s", "plan_ms_median", "plan_ms_p99", "worker")
 """Columns that differ from machine to machine; all others are a function of the run."""
 
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
-    """One run: its factors, what came of it, how long it took.  None: it does not apply."""
-
-    run: int
-    """Its number in the campaign, from 0."""
-    key: str
-    """Its factors, by which it is known: `gathered/7/flight/refined-de/seed-3`."""
-    seed: int
-    """Of search and vehicle; runs that differ in one factor alone have it in common."""
-
-    # factors
-    world: str
-    family: str | None = None
-    """Of random worlds: which; with `family_seed` and `family_index` it is drawn again."""
-    family_seed: int | None = None
-    family_index: int | None = None
-    mission: str | None = None
-    vehicle: str | None = None
-    """`ardupilot-copter`, ...; of the planner alone: None."""
-    profile: str
-    optimiser: str
-    budget: int
-    """Evaluations for one subpath."""
-    sensor: str | None = None
-    faults: str | None = None
-    wind: str | None = None
-    noise: str | None = None
-    planner: str = "ours"
-    """`ours`, or a rival for whole routes."""
-    knowledge: str = "scans"
-    """What the planner is told: `scans`; `elevation`, a poor file too; `full`, all of it."""
-    over: str
-    """`process` or `planner`."""
-
-    # results
-    outcome: str
-    """`arrived`, or how it ended instead; `error` if the run raised."""
-    reason: str | None = None
-    """Why it did not arrive."""
-    arrived: bool
-    violations: int | None = None
-    """Subpaths that break a bound in the dense check against the true world; with faults, all that
-    the companion could know of, and endings that nobody explains (`judge`)."""
-    violated: str | None = None
-    """Which: `leg 3: terrain clearance; ...`."""
-    timeline: str | None = None
-    """What went wrong."""
-    ending: str | None = None
-    """With faults: `arrived`, `held and resumed`, `held for good`, `landed`, `returned`, `let go`,
-    `refused`, `fell`, or `unexplained: ...`."""
-    excused: str | None = None
-    """With faults: what was too near, and why it could not know."""
-    length_m: float | None = None
-    """Of what was flown."""
-    straight_m: float | None = None
-    """Of the straight way from target to target."""
-    cost: float | None = None
-    """J of eq. 5 along what was flown: the three below together."""
-    cost_length: float | None = None
-    cost_height: float | None = None
-    cost_radar: float | None = None
-    clearance_least_m: float | None = None
-    """True distance to the ground, at most twice what is required."""
-    clearance_least_t_s: float | None = None
-    """When, in vehicle time."""
-    subpaths_checked: int | None = None
-    plans: int | None = None
-    """Answers of the planner, refusals too."""
-    holds: int | None = None
-    """Stops on the way."""
-    flight_s: float | None = None
-    """Vehicle time from take-off."""
-    folder: str | None = None
-    """Of the run, within the campaign's; empty if it was not kept."""
-    error: str | None = None
-    """What the run raised, in one line."""
-    version: str
-
-    # timing
-    took_s: float
-    cpu_s: float
-    """Processor time."""
-    plan_ms_median: float | None = None
-    plan_ms_p99: float | None = None
-    worker: str
-    """Machine and process."""
-
-
-def schema() -> "pa.Schema":
-    """The columns of the data set, from the fields of `Row`."""
-    import pyarrow as pa  # an extra
-
-    of_type = {str: pa.string(), int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
-    columns = []
-    for field in fields(Row):
-        kind, *none = typing.get_args(field.type) or (field.type,)
-        columns.append(pa.field(field.name, of_type[kind], nullable=bool(none)))
-    return pa.schema(columns)
-
-
-# --- their data set
-
-ROWS = "rows"
+ROWS: Final = "rows"
 _LOCK, _RUNS, _FILE = ".lock", "runs.json", "campaign.toml"
+_WRITE_S: Final = 2.0
+"""Rows are written when so much time has passed, or so many are there."""
+_WRITE_ROWS: Final = 500
 
 
 @final
 class Store:
-    """A campaign's folder, open for writing."""
+    """A campaign's folder, open for writing; what has not been written is written at its end."""
 
     def __init__(
         self, folder: Path, *, text: str, digest: str, count: int, source: Sequence[str]
@@ -154,7 +111,7 @@ class Store:
         cannot be written to.
         """
         need("campaign", "companion campaign", str(folder))
-        self.folder = folder
+        self.folder, self._waiting, self._written_s = folder, list[Row](), time.monotonic()
         with ExitStack() as broken:
             try:
                 (folder / ROWS).mkdir(parents=True, exist_ok=True)
@@ -169,8 +126,8 @@ class Store:
                 # what a killed process was writing: it has the lock no more
                 for path in (*folder.glob(f"{ROWS}/.*.new"), *folder.glob("runs/.new-*")):
                     shutil.rmtree(path) if path.is_dir() else path.unlink()
-                self.done = {row["run"] for row in read_rows("--out", folder, ["run"])}
-                """The runs whose rows are there."""
+                self.done = set(read_rows("--out", folder, "run")["run"])
+                """The runs whose rows are written."""
             except BlockingIOError:
                 raise self._refused("another process is at this campaign") from None
             except OSError as error:
@@ -180,40 +137,59 @@ class Store:
     def _refused(self, rule: str) -> InputError:
         return InputError("--out", str(self.folder), rule, "Give another folder.")
 
-    def add(self, rows: Sequence[Row]) -> None:
-        """Add rows, in a part of their own; those that are there already are left out."""
-        import pyarrow as pa
-        import pyarrow.parquet as pq
+    def add(self, row: Row) -> None:
+        """Add a row, to be written with others before long.  OSError if they cannot be."""
+        self._waiting.append(row)
+        is_late = time.monotonic() - self._written_s >= _WRITE_S
+        if is_late or len(self._waiting) >= _WRITE_ROWS:
+            self._write()
 
-        fresh = {row.run: row for row in rows if row.run not in self.done}
-        if not fresh:
-            return
-        sink = pa.BufferOutputStream()
-        pq.write_table(pa.Table.from_pylist([*map(asdict, fresh.values())], schema()), sink)
-        path = self.folder / ROWS / f"part-{min(fresh):07d}.parquet"
-        replace_whole(path, sink.getvalue().to_pybytes())
-        self.done |= fresh.keys()
+    def _write(self) -> None:
+        """Write what waits, in a part of its own."""
+        if self._waiting:
+            sink, numbers = io.BytesIO(), {row["run"] for row in self._waiting}
+            table(self._waiting).write_parquet(sink)
+            path = self.folder / ROWS / f"part-{min(numbers):07d}.parquet"
+            replace_whole(path, sink.getvalue())
+            self.done |= numbers
+        self._waiting, self._written_s = [], time.monotonic()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._lock.close()
+        with self._lock:
+            self._write()
 
 
-def read_rows(field: str, folder: Path, columns: Sequence[str]) -> list[dict[str, Any]]:
-    """These columns of all rows that are there, part by part.  InputError about the field."""
-    import pyarrow as pa
-    import pyarrow.dataset as ds
+def table(rows: Sequence[Row]) -> "pl.DataFrame":
+    """Rows as the data set has them."""
+    import polars as pl  # an extra, and slow to import
 
-    parts = [str(part) for part in sorted((folder / ROWS).glob("*.parquet"))]
-    try:
-        found = ds.dataset(parts, schema=schema()).to_table(columns=[*columns]) if parts else None
-    except (OSError, pa.ArrowException) as error:
-        rule = f"its rows cannot be read ({str(error).splitlines()[0].rstrip('.')})"
-        remedy = "Remove that part: the command that began the campaign flies its runs again."
-        raise InputError(field, str(folder), rule, remedy) from error
-    return [] if found is None else list(found.to_pylist())
+    return pl.DataFrame(rows, COLUMNS, orient="row")
+
+
+def read_rows(field: str, folder: Path, *columns: str) -> "pl.DataFrame":
+    """All rows that are there, by their numbers, or some columns of them.
+
+    InputError about the field.
+    """
+    import polars as pl
+
+    empty = table([])
+    # another version may have written some columns more, or not all
+    others: Any = {"missing_columns": "insert", "extra_columns": "ignore"}
+    found = [empty.select(columns or [*COLUMNS])]
+    for part in sorted((folder / ROWS).glob("*.parquet")):
+        try:
+            scan = pl.scan_parquet(part, schema=empty.schema, **others)
+            found.append(scan.select(columns or [*COLUMNS]).collect())
+        except (OSError, pl.exceptions.PolarsError) as error:
+            why = str(error).splitlines()[0].rstrip(".")
+            rule = f"its rows cannot be read ({part.name}: {why})"
+            remedy = "Remove that part: the command that began the campaign flies its runs again."
+            raise InputError(field, str(folder), rule, remedy) from error
+    return pl.concat(found).unique("run", keep="first").sort("run")
 
 
 def facts_of(folder: Path) -> dict[str, Any]:

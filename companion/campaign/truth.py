@@ -82,44 +82,35 @@ def sampled(control_nea_m: FloatArray, spacing_m: float) -> Curve:
 # --- joins
 
 
-def jumps(
-    before_nea_m: FloatArray, after_nea_m: FloatArray, task: Task
-) -> tuple[float, float, float] | None:
-    """What jumps where one curve goes over to the next, from the control points alone.
+def goes_over(before_nea_m: FloatArray, after_nea_m: FloatArray, task: Task) -> bool:
+    """Whether a curve begins on the one before without a jump, or at its end, from rest.
 
-    -> place by R, unit tangent, curvature by that of the tightest turn; None: the next one begins
-    where the one before ends, from rest.  Its start is projected onto the curve before (Newton from
-    the nearest of 2,000 points).
+    Measured by R in place, in the unit tangent, and in curvature by that of the tightest turn.  Its
+    start is projected onto the curve before (Newton from the nearest of 2,000 points).
     """
     before, after = spline(before_nea_m), spline(after_nea_m)
     there, table = after(0.0), np.linspace(0.0, 1.0, 2001)
     if math.dist(before(1.0), there) < _STOPPED_M:
-        return None
+        return True
     u = float(table[np.argmin(np.linalg.norm(before(table) - there, axis=-1))])
     for _ in range(20):
         gap, v, a = before(u) - there, before(u, 1), before(u, 2)
         slope = float(v @ v + gap @ a)
         u = min(max(u - float(gap @ v) / max(slope, 1e-12), 0.0), 1.0)
-    (t0, k0), (t1, k1) = _tangent_curvature(before, u), _tangent_curvature(after, 0.0)
-    return (
-        float(np.linalg.norm(before(u) - there)) / task.settings.scan_range_m,
-        float(np.linalg.norm(t1 - t0)),
-        float(np.linalg.norm(k1 - k0)) * task.limits.turn_radius_m,
+    place_m, tangent, bend_1_m = (
+        float(np.linalg.norm(now - then))
+        for now, then in zip(_course(after, 0.0), _course(before, u), strict=True)
     )
+    by_range, bent = place_m / task.settings.scan_range_m, bend_1_m * task.limits.turn_radius_m
+    return max(by_range, tangent, bent) <= _JUMP
 
 
-def goes_over(before_nea_m: FloatArray, after_nea_m: FloatArray, task: Task) -> bool:
-    """Whether place, tangent and curvature go on without a jump."""
-    found = jumps(before_nea_m, after_nea_m, task)
-    return found is None or max(found) <= _JUMP
-
-
-def _tangent_curvature(curve: BSpline, u: float) -> tuple[FloatArray, FloatArray]:
-    """Unit tangent and curvature vector dt/ds; (3,) each."""
+def _course(curve: BSpline, u: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Place, unit tangent and curvature vector dt/ds; (3,) each."""
     v, a = curve(u, 1), curve(u, 2)
     speed2 = max(float(v @ v), 1e-18)
     tangent = v / math.sqrt(speed2)
-    return tangent, (a - float(a @ tangent) * tangent) / speed2
+    return curve(u), tangent, (a - float(a @ tangent) * tangent) / speed2
 
 
 # --- terrain

@@ -36,8 +36,7 @@ def growth() -> Found:
     text = f'over = "planner"\n[[places]]\nfamily = "spread"\nindices = {list(OBSTACLES)}'
     with TemporaryDirectory() as folder:
         rows = read_campaign(fly_campaign(Path(folder), text, "--keep", "none")).rows
-    rows = sorted(rows, key=lambda row: row.family_index or 0)
-    times = [row.plan_ms_median or np.nan for row in rows]
+    times = rows.sort("family_index")["plan_ms_median"].fill_null(np.nan).to_list()
     what = f"plan time, {OBSTACLES[0]:,} to {OBSTACLES[-1]:,} obstacles: most / least"
     yield most(what, max(times) / min(times), 1.0 + _FLAT)
 

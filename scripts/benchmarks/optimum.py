@@ -435,15 +435,13 @@ def best_of_place(place: Place) -> float | None:
 
 def place_of(row: Row) -> Place:
     """Where a run was flown."""
-    return Place(
-        label="", world=row.world, mission=row.mission, family=row.family,
-        family_seed=row.family_seed, family_index=row.family_index,
-    )  # fmt: skip
+    where = ("world", "mission", "family", "family_seed", "family_index")
+    return Place("", *(row[each] for each in where))
 
 
 def ratios(rows: Sequence[Row], known: dict[Place, float | None]) -> FloatArray:
     """J / J* of the runs that arrived, where J* is known."""
-    found = [(row.cost, known[place_of(row)]) for row in rows if row.arrived]
+    found = [(row["cost"], known[place_of(row)]) for row in rows if row["arrived"]]
     return np.array([cost / best for cost, best in found if cost and best])
 
 
@@ -458,26 +456,27 @@ def beside(
     with TemporaryDirectory() as folder:
         text = f'over = "planner"\n[[places]]\nfamily = "{family}"\nseed = {seed}\ncount = {worlds}'
         flown = Path(campaign) if campaign else fly_campaign(Path(folder), text, "--keep", "none")
-        rows = [row for row in read_campaign(flown).rows if row.over == "planner"]
+        rows = [row for row in read_campaign(flown).rows.to_dicts() if row["over"] == "planner"]
     places = list(dict.fromkeys(map(place_of, rows)))
     optima = in_processes(best_of_place, [(place,) for place in places], jobs)
     known, bars = dict(zip(places, optima, strict=True)), list[Bar]()
     groups: dict[tuple[str, ...], list[Row]] = defaultdict(list)
     for row in rows:
-        groups[row.family or row.world, row.planner, row.knowledge, row.optimiser].append(row)
+        where = row["family"] or row["world"]
+        groups[where, row["planner"], row["knowledge"], row["optimiser"]].append(row)
     for key, mine in groups.items():
         found = ratios(mine, known)
         spread = [np.median(found), found.mean(), np.quantile(found, 0.9), found.max()]
         spread = [float(each) for each in spread] if len(found) else []
         if key[1:3] == ("ours", "scans"):
             bars.append(most(f"J / J*, {key[0]}: median, mean, 90 %, worst", spread, BARS))
-            wrong = sum(row.violations or 0 for row in mine)
+            wrong = sum(row["violations"] or 0 for row in mine)
             bars.append(most(f"{key[0]}: violations in subpaths checked every metre", wrong, 0))
         headings = "J / J*: median|.4f", "mean|.4f", "90 %|.4f", "worst|.4f"
         yield {
             "J against the full-knowledge optimum": ", ".join(key),
             "runs": len(mine),
-            "arrived": sum(row.arrived for row in mine),
+            "arrived": sum(row["arrived"] for row in mine),
             "without J*": sum(known[place_of(row)] is None for row in mine),
         } | dict(zip(headings, spread or [None] * 4, strict=True))
         yield [", ".join(key), found.tolist()]

@@ -1,36 +1,39 @@
 """Rows of campaigns that were never flown."""
 
-from dataclasses import replace
-
 import numpy as np
 
-from companion.campaign.store import Row
+from companion.campaign.store import COLUMNS, Row
+
+BASE: Row = {
+    "world": "hill",
+    "mission": "hill",
+    "profile": "flight",
+    "optimiser": "refined-de",
+    "budget": 3000,
+    "planner": "ours",
+    "knowledge": "scans",
+    "over": "process",
+    "outcome": "arrived",
+    "arrived": True,
+    "violations": 0,
+    "cost": 10.0,
+    "length_m": 1100.0,
+    "straight_m": 1000.0,
+    "clearance_least_m": 60.0,
+    "folder": "",
+    "version": "0.2.0",
+}
 
 
 def row(run: int, **values: object) -> Row:
-    base = Row(
-        run=run,
-        key=f"hill/{run}",
-        seed=run,
-        world="hill",
-        mission="hill",
-        profile="flight",
-        optimiser="refined-de",
-        budget=3000,
-        over="process",
-        outcome="arrived",
-        arrived=True,
-        violations=0,
-        cost=10.0,
-        length_m=1100.0,
-        straight_m=1000.0,
-        clearance_least_m=60.0,
-        version="0.2.0",
-        took_s=1.0,
-        cpu_s=1.0,
-        worker="here",
-    )
-    return replace(base, **values)  # type: ignore[arg-type]
+    return {
+        **dict.fromkeys(COLUMNS),
+        **BASE,
+        "run": run,
+        "key": f"hill/{run}",
+        "seed": run,
+        **values,
+    }
 
 
 def paired_rows(count: int = 40) -> list[Row]:
@@ -42,6 +45,6 @@ def paired_rows(count: int = 40) -> list[Row]:
         rows.append(row(2 * seed, seed=seed, cost=cost))
         other = row(2 * seed + 1, seed=seed, optimiser="l-shade", cost=cost * float(gain))
         if seed < 3:
-            other = replace(other, arrived=False, outcome="failed", reason="stuck", cost=None)
+            other |= {"arrived": False, "outcome": "failed", "reason": "stuck", "cost": None}
         rows.append(other)
     return rows

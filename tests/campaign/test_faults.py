@@ -1,5 +1,6 @@
 """What is drawn to go wrong, and how flights with it are judged."""
 
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -8,19 +9,20 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from companion.campaign import drawn_faults, drawn_world, families, judge, simulator
-from companion.campaign.drawn_faults import FAMILIES, FaultScript, Subject, ways
-from companion.campaign.drawn_world import mission_of
+from companion.campaign import drawn_faults, drawn_world, families, in_process, judge
+from companion.campaign.drawn_faults import FAMILIES, FaultScript, ways
 from companion.campaign.in_process import Flight
 from companion.config import load_mission
 from companion.errors import InputError
+from companion.mission.state import Reason
 from companion.world.zones import CircleZone
 from vehicle_sim import faults
 from vehicle_sim.faults import COMPANION_OFF, FAULTS, Drawn, Fault, Known, Timeline, conditions_of
 
 VEHICLES = ("ardupilot-copter", "ardupilot-plane", "px4-copter", "px4-plane")
 DRAWN = families.world("short-copter", 1, 0)
-MISSION = mission_of(DRAWN)
+with tempfile.TemporaryDirectory() as _folder:
+    MISSION = load_mission(str(drawn_world.write(DRAWN, Path(_folder))[1]))
 HIGH_M = 1_500.0
 TARGET = DRAWN.targets_ne_m[-1]
 
@@ -28,19 +30,10 @@ TARGET = DRAWN.targets_ne_m[-1]
 # --- draws
 
 
-def test_every_fault_is_drawn_in_its_own_place_among_all() -> None:
-    """But for those of sensors that the drawn vehicles do not have."""
-    without = {fault.name for fault in FAULTS if not fault.drawn}
-    assert all(name.startswith(("lidar_", "rangefinder_")) for name in without)
-    assert [way.number for way in ways()] == list(range(len(ways())))
-    assert len({way.name for way in ways()}) == len(ways())
-
-
 def drawn(family: str, seed: int, count: int, vehicle: str) -> list[tuple[str, str]]:
     """Names and timelines of so many scripts."""
-    subject = Subject(vehicle=vehicle, speed_m_s=10.0)
     scripts = [FaultScript(family=family, seed=seed, index=index) for index in range(count)]
-    return [drawn_faults.drawn(script, subject) for script in scripts]
+    return [drawn_faults.drawn(script, vehicle, 10.0) for script in scripts]
 
 
 @pytest.mark.parametrize("vehicle", VEHICLES)
@@ -56,7 +49,11 @@ def test_a_script_can_be_flown_and_is_the_same_again(family: str, vehicle: str) 
     assert len({timeline for _, timeline in found}) > 50
 
 
-def test_singles_go_through_all_rows_and_another_seed_draws_others() -> None:
+def test_singles_go_through_all_faults_and_another_seed_draws_others() -> None:
+    """But for those of sensors that the drawn vehicles do not have."""
+    without = {fault.name for fault in FAULTS if not fault.drawn}
+    assert all(name.startswith(("lidar_", "rangefinder_")) for name in without)
+    assert [way.number for way in ways()] == list(range(len({way.name for way in ways()})))
     one, other = (drawn("single", seed, len(ways()) - 1, "px4-plane") for seed in (1, 2))
     assert [name for name, _ in one] == [w.name for w in ways() if w.name != "battery_voltage"]
     assert one[0][0] == other[0][0]
@@ -64,7 +61,7 @@ def test_singles_go_through_all_rows_and_another_seed_draws_others() -> None:
 
 
 def test_a_fault_that_is_added_as_one_row_is_drawn_flown_and_judged(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     row = Fault(
         "gps",
@@ -80,8 +77,8 @@ def test_a_fault_that_is_added_as_one_row_is_drawn_flown_and_judged(
     flown = Timeline.parse(timeline)
     flown.step(flown.next_us)
     assert conditions_of({}, flown.lasting).gps.satellites in range(2, 6)
-    assert len(violated(flight(tmp_path, NEAR))) == 1
-    excused = judge.judged(flight(tmp_path, NEAR), DRAWN, "at 0 s: gps_few 3")
+    assert len(violated(flight(NEAR))) == 1
+    excused = judge.judged(flight(NEAR), DRAWN, "at 0 s: gps_few 3")
     assert excused["violations"] == 0
     assert "the sky was hidden" in excused["excused"]
 
@@ -90,16 +87,15 @@ def test_without_a_simulator_that_can_say_what_may_go_wrong_there_is_none(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     older = [SimpleNamespace(load=lambda: print)]
-    monkeypatch.setattr(simulator, "entry_points", lambda **_: older)
+    monkeypatch.setattr(in_process, "entry_points", lambda **_: older)
     with pytest.raises(InputError, match="Install the project again"):
-        simulator.simulator.__wrapped__()
+        in_process.simulator.__wrapped__()
 
 
 # --- the judge
 
 
 def flight(
-    folder: Path,
     places: list[tuple[float, float]],
     *,
     told_off_m: float = 0.0,
@@ -124,9 +120,7 @@ def flight(
     names = ("t_s", "t_s", "north_m", "east_m", "altitude_amsl_m")
     told = np.array([[row[name] for name in names] for row in truth])
     told[:, -1] += told_off_m
-    return Flight(
-        mission=MISSION, journal=journal, truth=truth, plans_s=[], told=told, folder=folder
-    )
+    return Flight(mission=MISSION, journal=journal, truth=truth, plans_s=[], told=told)
 
 
 def violated(flown: Flight, timeline: str = "") -> list[str]:
@@ -159,6 +153,8 @@ FENCE, AWAY = "at 2.0 s: ground_fence 30 m", (TARGET[0] - 200.0, TARGET[1])
 TOO_LOW = "at 0 s: radar_noise 5 m either_way"
 SILENT = {"outcome": "failed", "reason": "the vehicle fell silent"}
 HELD = {"mode": "BRAKE", "outcome": "failed", "reason": "no way"}
+TAKEN = {"mode": "LOITER", "outcome": "failed", "reason": Reason.MODE_TAKEN.text}
+WIND = "at 0.1 s: turbulence 1 m/s"
 DISARMED = {"outcome": "failed", "reason": "the vehicle disarmed"}
 NEAR = [*[beside(0.0)] * 3, TARGET]
 TWICE = [*[beside(0.0)] * 3, *[TARGET] * 5, *[beside(0.0)] * 10, TARGET]
@@ -221,29 +217,25 @@ JUDGED = {
     "out of reach for a minute": Judged(
         THERE, 0, "at 100 ms for 1 min: link_off", more=SILENT, ending="held for good"
     ),
-    "disarmed in the last tick": Judged(
-        THERE, 0, "at 0.1 s: turbulence 1 m/s", more=DISARMED, ending="landed"
-    ),
+    "taken by a pilot": Judged(THERE, 0, WIND, more=TAKEN, ending="let go"),
+    "brought home": Judged(THERE, 0, WIND, more=TAKEN | {"mode": "RTL"}, ending="returned"),
+    "disarmed in the last tick": Judged(THERE, 0, WIND, more=DISARMED, ending="landed"),
     "without an end": Judged(THERE, 1, more={"kind": "say"}, ending="unexplained: no end"),
     "arrived elsewhere": Judged([AWAY] * 3, 1, ending="unexplained: arrived elsewhere"),
     "where its target was moved to": Judged(
         [AWAY] * 3, 0, "at 1.0 s: ground_target 1 m north 1 m east", ending="arrived"
     ),
     "held with nothing wrong": Judged(THERE, 1, more=HELD, ending="held for good"),
-    "held in wind": Judged(
-        THERE, 0, "at 0.1 s: turbulence 1 m/s", more=HELD, ending="held for good"
-    ),
+    "held in wind": Judged(THERE, 0, WIND, more=HELD, ending="held for good"),
 }
 
 
 @pytest.mark.parametrize("case", JUDGED)
-def test_what_it_could_know_of_and_did_violates_and_so_does_an_unsafe_end(
-    case: str, tmp_path: Path
-) -> None:
+def test_what_it_could_know_of_and_did_violates_and_so_does_an_unsafe_end(case: str) -> None:
     assert DRAWN.task.settings.safety_distance_m == SAFETY_M
     assert DRAWN.task.limits.navigation_error_m == ERROR_M
     expected = JUDGED[case]
-    row = judge.judged(flight(tmp_path, expected.places, **expected.more), DRAWN, expected.faults)
+    row = judge.judged(flight(expected.places, **expected.more), DRAWN, expected.faults)
     assert row["violations"] == expected.violations
     assert expected.ending in ("", row["ending"])
     if "told_off_m" in expected.more:
@@ -251,19 +243,17 @@ def test_what_it_could_know_of_and_did_violates_and_so_does_an_unsafe_end(
 
 
 @pytest.mark.parametrize(("seconds", "violations"), [(60, 0), (80, 1)])
-def test_a_plane_may_turn_once_before_it_leaves_a_new_fence(
-    seconds: int, violations: int, tmp_path: Path
-) -> None:
+def test_a_plane_may_turn_once_before_it_leaves_a_new_fence(seconds: int, violations: int) -> None:
     """On a circle of 40 m a turn takes 31 s at 8 m/s; a copter has to be out after 33 s."""
     limits = replace(DRAWN.task.limits, loiter_radius_m=40.0)
     plane = replace(DRAWN, task=replace(DRAWN.task, limits=limits))
-    row = judge.judged(flight(tmp_path, [*[INSIDE] * seconds, TARGET]), plane, FENCE)
+    row = judge.judged(flight([*[INSIDE] * seconds, TARGET]), plane, FENCE)
     assert row["violations"] == violations
 
 
-def test_what_was_planned_before_an_excuse_is_checked_whole(tmp_path: Path) -> None:
+def test_what_was_planned_before_an_excuse_is_checked_whole() -> None:
     """From then on a subpath may be in a wrong place, and is right in its shape only."""
-    flown = flight(tmp_path, [TARGET] * 4)
+    flown = flight([TARGET] * 4)
     up_m = 0.5 * sum(DRAWN.task.band_amsl_m)
     across = np.linspace((*beside(-40.0), up_m), (*beside(-1.0), up_m), 5).tolist()
     ready = [{"t_s": t_s, "kind": "plan ready", "control_nea_m": across} for t_s in (1.0, 3.0)]
@@ -273,10 +263,10 @@ def test_what_was_planned_before_an_excuse_is_checked_whole(tmp_path: Path) -> N
     assert violated(flown) == ["leg 1: keep-out zone", "leg 2: keep-out zone"]
 
 
-def test_who_climbs_out_is_not_too_near_to_the_ground_and_who_flies_is(tmp_path: Path) -> None:
+def test_who_climbs_out_is_not_too_near_to_the_ground_and_who_flies_is() -> None:
     ground_m = float(DRAWN.terrain.height_m(np.array(TARGET[0]), np.array(TARGET[1])))
     low_m = ground_m + 0.5 * SAFETY_M
-    flown = flight(tmp_path, [TARGET] * 4, told_off_m=low_m - HIGH_M)
+    flown = flight([TARGET] * 4, told_off_m=low_m - HIGH_M)
     for row in flown.truth:
         row["altitude_amsl_m"] = low_m
     for begins_s, count in ((1.0, 1), (9.0, 0)):
@@ -285,11 +275,11 @@ def test_who_climbs_out_is_not_too_near_to_the_ground_and_who_flies_is(tmp_path:
         assert [each.startswith("terrain ") for each in violated(after)] == [True] * count
 
 
-def test_who_leaves_a_keep_in_violates_it(tmp_path: Path) -> None:
+def test_who_leaves_a_keep_in_violates_it() -> None:
     fence = CircleZone(name="in", north_m=-1_200.0, east_m=0.0, radius_m=50.0, keep_in=True)
     world = replace(DRAWN, task=replace(DRAWN.task, zones=(fence,)))
     for off_m, count in ((37.0, 0), (39.0, 1), (60.0, 1)):
-        flown = flight(tmp_path, [(-1_200.0, off_m)] * 3, kind="say")
+        flown = flight([(-1_200.0, off_m)] * 3, kind="say")
         assert judge.judged(flown, world, None)["violations"] == count
 
 
@@ -300,10 +290,10 @@ CRASH = {"t_s": 3.05, "into": "the ground", "speed_m_s": 9.13}
     ("mode", "told_off_m", "count"), [("GUIDED", 0.0, 1), ("GUIDED", 4.0, 0), ("LAND", 0.0, 0)]
 )
 def test_a_crash_violates_unless_somebody_else_flew_or_it_was_landing(
-    mode: str, told_off_m: float, count: int, tmp_path: Path
+    mode: str, told_off_m: float, count: int
 ) -> None:
     """Without faults it does wherever it was, and no ending is judged."""
-    flown = flight(tmp_path, [beside(50.0)] * 4, told_off_m=told_off_m, mode=mode)
+    flown = flight([beside(50.0)] * 4, told_off_m=told_off_m, mode=mode)
     before, said = violated(flown), "hit the ground at 9.1 m/s, 3.0 s"
     assert "ending" not in judge.judged(flown, DRAWN, None)
     for row in flown.truth[30:]:
@@ -313,12 +303,12 @@ def test_a_crash_violates_unless_somebody_else_flew_or_it_was_landing(
     assert said in str(judge.judged(flown, DRAWN, None)["violated"])
 
 
-def test_faults_are_judged_in_lidar_missions_too(tmp_path: Path) -> None:
+def test_faults_are_judged_in_lidar_missions_too() -> None:
     """Who says nothing of its end, or touches something that it could know of, violates."""
     forest, world = load_mission("forest"), drawn_world.bundled("forest")
     there = forest.targets_ne_m[-1]
     up_m = forest.task.limits.floor_amsl_m + 3.0
-    made = flight(tmp_path, [there] * 4, told_off_m=up_m - HIGH_M, kind="say")
+    made = flight([there] * 4, told_off_m=up_m - HIGH_M, kind="say")
     plain = replace(made, mission=forest)
     for row in plain.truth:
         row |= {"altitude_amsl_m": up_m, "near_m": 2.0}

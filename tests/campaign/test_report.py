@@ -4,17 +4,14 @@ import html
 import json
 import re
 import shlex
-from dataclasses import asdict
 from pathlib import Path
 
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from answers import answered
 from campaign_rows import paired_rows, row
 
-from companion.campaign.report import read_campaign, report_of
-from companion.campaign.store import Row, schema
+from companion.campaign.report import figures_csv, read_campaign, report_of
+from companion.campaign.store import Row, table
 
 SOURCE = ["a campaign.toml", "--seeds", "3"]
 EVIL = "</pre></svg><script>alert('x')</script>"
@@ -23,8 +20,7 @@ EVIL = "</pre></svg><script>alert('x')</script>"
 def campaign(folder: Path, rows: list[Row], expected: int | None = None) -> Path:
     (folder / "rows").mkdir(parents=True)
     for at in range(0, len(rows), 30):
-        table = pa.Table.from_pylist([asdict(each) for each in rows[at : at + 30]], schema())
-        pq.write_table(table, folder / "rows" / f"part-{at:06d}.parquet")
+        table(rows[at : at + 30]).write_parquet(folder / "rows" / f"part-{at:06d}.parquet")
     count = len(rows) if expected is None else expected
     facts = {"digest": "x", "runs": count, "source": SOURCE}
     (folder / "runs.json").write_text(json.dumps(facts))
@@ -108,6 +104,19 @@ def test_the_worst_runs_are_listed_with_a_command_that_shows_them_again(tmp_path
     assert shlex.split(sheets["Least clearance: 10 of 36"][0][3])[: len(again)] == again
 
 
+@pytest.mark.parametrize(("family", "shown"), [("dense", []), ("spread", ["By family_index"])])
+def test_which_world_of_a_family_it_is_has_a_table_only_where_that_is_how_much_stands_in_it(
+    tmp_path: Path, family: str, shown: list[str]
+) -> None:
+    rows = [row(n, family=family, family_index=n % 3) for n in range(12)]
+    report = report_of(read_campaign(campaign(tmp_path / "c", rows)))
+    assert [sheet.title for sheet in report.tables] == ["All runs", *shown]
+    lines = figures_csv(report).splitlines()
+    assert lines[0].startswith("by,group,against,measure,n,value,low,high,wins")
+    assert lines[1].startswith(",all,,arrived,12,1.0,")
+    assert len(lines) == 1 + len(report.figures)
+
+
 def test_wrong_input_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     campaign(tmp_path / "c", paired_rows(2))
     damaged = campaign(tmp_path / "damaged", paired_rows(2)) / "rows" / "part-000000.parquet"
@@ -117,7 +126,7 @@ def test_wrong_input_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         ("nowhere",): "it holds no campaign",
         ("c", "--by", "colour"): "no such factor. Choose from: world,",
         ("c", "--html", "no/such/x.html"): "not written",
-        ("damaged",): "cannot be read",
+        ("damaged",): "cannot be read (part-000000.parquet: ",
     }.items():
         code, _, said = answered("campaign", "report", *arguments)
         assert code == 2
