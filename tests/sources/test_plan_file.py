@@ -400,23 +400,31 @@ def test_how_a_list_is_written_does_not_matter(txt: Path, spelled: str) -> None:
     assert of_text(txt, f"\ufeff{dressed}") == of_text(txt, text)
 
 
-def test_fences_and_rally_points_of_a_list_are_zones(txt: Path) -> None:
+def test_fences_and_rally_points_of_a_list_are_zones_whatever_else_is_in_it(txt: Path) -> None:
+    """As threats it is no mission: what cannot be flown of it does not matter."""
     square = [(47.4, 8.5), (47.4, 8.6), (47.5, 8.6), (47.5, 8.5)]
-    rows: list[Row] = [(0, 5000, (0, 0, 0, 0), 47.4, 8.55, 0.0)]
+    rows: list[Row] = [FIRST, (0, 5000, (0, 0, 0, 0), 47.4, 8.55, 0.0), to(0.01)]
     rows += [(0, 5001, (4, 0, 0, 0), lat, lon, 0.0) for lat, lon in square]
-    rows += [(0, 5002, (3, 0, 0, 0), lat, lon, 0.0) for lat, lon in square[:3]]
+    rows += [(0, 5002, (3, 0, 0, 0), lat, lon, 0.0) for lat, lon in square[:3] + square[1:]]
     rows += [(0, 5003, (9000.0, 0, 0, 0), 47.45, 8.55, 0.0)]
     rows += [(0, 5004, (120.0, 0, 0, 0), 47.41, 8.56, 0.0)]
     rows += [(3, 5100, (0, 0, 0, 0), 47.42, 8.57, 40.0)]
-    found = read_waypoint_fence(saved(txt, *rows), "threats")
+    plan = read_waypoint_list(saved(txt, *rows), "plan")
+    assert plan.rally_points == [{"latitude_deg": 47.42, "longitude_deg": 8.57}]
+    assert len(plan.targets) == 1
+    jump: Row = (2, 177, (1, 2, 0, 0), 0.0, 0.0, 0.0)
+    found = read_waypoint_fence(saved(txt, *rows, jump, to(0.02, frame=7)), "threats")
+    assert (found.keep_ins, found.keep_outs) == (plan.keep_ins, plan.keep_outs)
+    assert found.notes == ["survey.txt: 3 items of its mission are not flown"]
     assert found.keep_ins[0]["vertices_deg"] == [list(corner) for corner in square]
-    assert found.keep_outs[0]["vertices_deg"] == [list(corner) for corner in square[:3]]
+    assert [zone.get("vertices_deg") for zone in found.keep_outs] == [
+        [list(corner) for corner in square[:3]],
+        [list(corner) for corner in square[1:]],
+        None,
+    ]
     assert found.keep_ins[1]["radius_m"] == 9000.0
-    circle = found.keep_outs[1]
-    assert (circle["latitude_deg"], circle["longitude_deg"]) == (47.41, 8.56)
-    assert circle["radius_m"] == 120.0
-    assert found.rally_points == [{"latitude_deg": 47.42, "longitude_deg": 8.57}]
-    assert not found.targets
+    circle = {"name": "fence circle 5", "latitude_deg": 47.41, "longitude_deg": 8.56}
+    assert found.keep_outs[2] == circle | {"radius_m": 120.0}
 
 
 def test_a_mission_keeps_out_of_what_its_fence_list_says(txt: Path) -> None:
