@@ -98,7 +98,7 @@ _SIDE = 16
 """Places along each side of a window: between them a side of 1,000 km bulges by less than 1 km."""
 _BEYOND_DEG = 0.1  # more than that bulge, up to the latitude from which a window goes all around
 _EARTH_M = 6.37e6
-_STRAIGHT_M = 0.5
+_STRAIGHT_M = 0.15
 """Allowed distance between a side straight in degrees and one straight in the local frame."""
 _MOST_PARTS = 512  # of a side
 _POLAR_DEG = 84.0  # a metre east is ten times as many degrees there as at the equator
@@ -163,7 +163,7 @@ def short_way(corners_deg: list[tuple[float, float]]) -> list[tuple[float, float
     """
     found = corners_deg[:1]
     for latitude, longitude in corners_deg[1:]:
-        found.append((latitude, found[-1][1] + wrap_deg(longitude - found[-1][1])))
+        found.append((latitude, longitude + 360.0 * round((found[-1][1] - longitude) / 360.0)))
     closes = found[-1][1] + wrap_deg(found[0][1] - found[-1][1]) if found else 0.0
     return found if not found or abs(closes - found[0][1]) < 1.0 else None
 

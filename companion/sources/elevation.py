@@ -97,10 +97,10 @@ class ElevationTable(Table):
         if self.nodata is not None:
             heights_m[unknown] = 0.0 if self.nodata == "sea" else self.nodata
             unknown = beyond
-        heights_m[unknown] = _LOWEST_M
-        low, high = float(heights_m.min()), float(heights_m.max())
-        if low < _LOWEST_M or high > _HIGHEST_M:
-            rule = f"its heights run from {low:g} to {high:g} m, which is not this earth"
+        known_m, heights_m[unknown] = heights_m[~unknown], _LOWEST_M
+        if heights_m.min() < _LOWEST_M or heights_m.max() > _HIGHEST_M:
+            rule = f"its heights run from {known_m.min():g} to {known_m.max():g} m, which is not "
+            rule += "this earth"
             raise _refusal(path, rule, "Name a file of elevations in metres.")
         terrain = GridTerrain(
             frame=frame,

@@ -40,6 +40,7 @@ _ENDS: Final = {
 }
 """Commands that end a mission, and how."""
 _NO_ALTITUDE: Final = "waypoint without an altitude (that of the one before is taken)"
+_NO_GROUND: Final = "altitude above terrain, where the ground is not known (give [terrain])"
 _NOT_FLOWN: Final = (wire.MAV_CMD_NAV_DELAY, wire.MAV_CMD_NAV_ROI)
 """Of the commands up to MAV_CMD_NAV_LAST, those that may be left out."""
 _REMEDY: Final = "Give a .plan that QGroundControl has saved."
@@ -245,6 +246,7 @@ class Plan(Zones):
             return None
         if above_m is None:
             self.unknown_altitudes.append((f"{self.name}: {where}", given))
+            self.left_out[_NO_GROUND] += 1
             return None
         self.altitudes_amsl_m.append(above_m + given)
         return above_m + given
@@ -406,6 +408,10 @@ _MIN_LOITER_M: Final = 100.0  # both autopilots ask for 80, ArduPlane flies 17 m
 _SEARCH_ERRORS: Final = 1.1  # of the vehicle's errors: kept besides d_s (`Task.band_amsl_m`)
 _BAND_ERRORS: Final = 8.0
 _MAX_M_S: Final = 500.0
+_GIVE_GROUND: Final = (
+    "Give [terrain] with highest_amsl_m or an elevation file that has the place, or an altitude "
+    "above launch or above mean sea level."
+)
 
 
 class _Usual(NamedTuple):
@@ -442,13 +448,17 @@ def with_plan(given: RawTable, plan: Plan, name: str) -> tuple[RawTable, list[st
     count.  name: of the mission, if nothing is given.  Raises InputError about a waypoint that is
     too far from launch for any map, or whose altitude without a radar is not known.
     """
-    said = _at(given, "vehicle.kind")
+    said, is_blind = _at(given, "vehicle.kind"), _at(given, "vehicle.scanner") is False
     kind = said if said in ("copter", "plane") else plan.kind or "copter"
-    usual, is_blind = _USUAL[kind], _at(given, "vehicle.scanner") is False
     own_targets = not _at(given, "from_vehicle.targets")
-    vehicle, speed = _vehicle(given, plan, kind)
-    unknown = plan.unknown_altitudes and own_targets
-    notes = [_about_unknown_altitudes(plan, is_blind=is_blind)] if unknown else []
+    if is_blind and own_targets and plan.unknown_altitudes:  # which would be flown as planned
+        where, height_m = plan.unknown_altitudes[0]
+        rule = "it is above terrain, and how high the ground is there is not known"
+        raise InputError(f"{where}: altitude", height_m, rule, _GIVE_GROUND)
+    usual, speed, source = _USUAL[kind], plan.speed_m_s.get(kind) or 0.0, "speed of the plan"
+    if not 0.0 < speed < _MAX_M_S:
+        speed, source = usual.speed_m_s, "assumed"
+    vehicle = _vehicle(kind, _number(given, "vehicle.speed_m_s", speed, above=0.0))
     range_m = _number(given, "planner.scan_range_m", usual.sight_m, above=0.0)
     band, distance_m = _band(given, plan, vehicle, usual, is_blind=is_blind)
     planner = {"scan_range_m": range_m, "safety_distance_m": distance_m, "planning_time_s": 3.0}
@@ -471,39 +481,37 @@ def with_plan(given: RawTable, plan: Plan, name: str) -> tuple[RawTable, list[st
             for target in plan.targets
         ]
     table = merged(assumed, given, ("keep_outs", "keep_ins", "rally_points"))
-    said = {"vehicle.speed_m_s": speed, "altitude": _about_altitude(plan, band, is_blind=is_blind)}
     if "area" not in given and (area := _area(table, plan, range_m)):
         table["area"] = area
-        said["area"] = f"map assumed: {range_m:g} m around launch and targets"
     sight = "looking ahead" if is_blind else "a terrain radar that sees"
-    said["planner.scan_range_m"] = f"assumed: {sight} {range_m:g} m (R), d_s = {distance_m:g} m"
-    notes += [note for path, note in said.items() if _at(given, path) is None]
-    return table, [*notes, *plan.notes]
+    notes = {
+        "vehicle.speed_m_s": f"a {kind} at {speed:g} m/s ({source})",
+        "altitude": _about_altitude(plan, band, is_blind=is_blind),
+        "area": f"map assumed: {range_m:g} m around launch and targets",
+        "planner.scan_range_m": f"assumed: {sight} {range_m:g} m (R), d_s = {distance_m:g} m",
+    }
+    return table, [*(note for path, note in notes.items() if _at(given, path) is None), *plan.notes]
 
 
-def _vehicle(given: RawTable, plan: Plan, kind: str) -> tuple[RawTable, str]:
-    """What is assumed of the vehicle, but for what follows from a speed that is given; a note."""
-    usual, planned = _USUAL[kind], plan.speed_m_s.get(kind) or 0.0
-    source = f"{'hover' if kind == 'copter' else 'cruise'} speed of the plan"
-    if not 0.0 < planned < _MAX_M_S:
-        planned, source = usual.speed_m_s, "assumed"
-    speed = _number(given, "vehicle.speed_m_s", planned, above=0.0)
+def _vehicle(kind: str, speed_m_s: float) -> RawTable:
+    """What is assumed of a vehicle of this speed."""
+    usual = _USUAL[kind]
     table: RawTable = {
         "kind": kind,
-        "speed_m_s": speed,
+        "speed_m_s": speed_m_s,
         "acceleration_m_s2": 2.0,
         "climb_rate_m_s": usual.climb_m_s,
         "tracking_error_m": usual.tracking_m,
         "navigation_error_m": 5.0,
-        "turn_radius_m": max(_round_up(speed**2 / usual.lateral_m_s2), usual.min_radius_m),
+        "turn_radius_m": max(_round_up(speed_m_s**2 / usual.lateral_m_s2), usual.min_radius_m),
     }
     for key, rate_m_s in (("climb", usual.climb_m_s), ("dive", usual.sink_m_s)):
-        slope_deg = min(math.degrees(math.atan(rate_m_s / speed)), usual.max_slope_deg)
+        slope_deg = min(math.degrees(math.atan(rate_m_s / speed_m_s)), usual.max_slope_deg)
         table[f"{key}_angle_deg"] = math.floor(slope_deg * 10.0) / 10.0
     if kind == "plane":
-        tightest_m = speed**2 / (_GRAVITY_M_S2 * math.tan(_LOITER_BANK_RAD))
+        tightest_m = speed_m_s**2 / (_GRAVITY_M_S2 * math.tan(_LOITER_BANK_RAD))
         table["loiter_radius_m"] = max(_round_up(tightest_m), _MIN_LOITER_M)
-    return table, f"a {kind} at {planned:g} m/s ({source})"
+    return table
 
 
 def _round_up(value_m: float) -> float:
@@ -586,20 +594,6 @@ def _about_altitude(plan: Plan, band: RawTable, *, is_blind: bool) -> str:
         f"altitude: anywhere from {band_m} (assumed from the plan's {planned} m, {launch} AMSL); "
         "waypoints are passed at any altitude of this band"
     )
-
-
-def _about_unknown_altitudes(plan: Plan, *, is_blind: bool) -> str:
-    """A note; without a radar, where altitudes are flown as they are planned, an InputError."""
-    where, height_m = plan.unknown_altitudes[0]
-    remedy = (
-        "Give [terrain] with highest_amsl_m or an elevation file that has the place, or an "
-        "altitude above launch or above mean sea level."
-    )
-    if is_blind:
-        rule = "it is above terrain, and how high the ground is there is not known"
-        raise InputError(f"{where}: altitude", height_m, rule, remedy)
-    what = "altitude above terrain, where the ground is not known"
-    return f"left out: {len(plan.unknown_altitudes)} x {what}. {remedy}"
 
 
 def _at(table: RawTable, path: str) -> Any:
