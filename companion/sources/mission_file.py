@@ -133,18 +133,13 @@ class ScannerTable(
 
     def broken(self) -> Iterator[Broken]:
         """It says what its kind has."""
-        is_radar, said = self.kind == _RADAR, self.model_fields_set - {"kind"}
-        for name in sorted(
-            said - {"scanner_complete"} if is_radar else said & {"scanner_complete"}
-        ):
-            kind = " or ".join(get_args(Kind)) if is_radar else _RADAR
-            key = type(self).model_fields[name].alias or name
-            yield (
-                key,
-                getattr(self, name),
-                f"it is of kind {kind}",
-                "Remove it, or write that kind.",
-            )
+        is_radar, of_radars = self.kind == _RADAR, {"scanner_complete"}
+        said = self.model_fields_set - {"kind"}
+        rule = f"it is of kind {' or '.join(get_args(Kind)) if is_radar else _RADAR}"
+        for name in sorted(said - of_radars if is_radar else said & of_radars):
+            key, value = type(self).model_fields[name].alias or name, getattr(self, name)
+            value = math.degrees(value) if key.endswith("_deg") else value
+            yield key, value, rule, "Remove it, or write that kind."
         if self.component_id == COMPANION_COMPONENT:
             rule = "that is the companion itself"
             yield "component", self.component_id, rule, "Give the driver another, as 196."
@@ -537,27 +532,25 @@ def _about_altitudes(mission: Mission, targets: list[TargetTable]) -> Iterator[s
     is not known.
     """
     lowest_m, top_m = mission.task.band_amsl_m
-    for number, table in enumerate(targets):
-        if table.altitude_amsl_m is not None and table.altitude_amsl_m >= top_m:
+    known, may_scan = mission.known, mission.near or mission.scanner_component_id is not None
+    wanted = mission.altitudes_amsl_m or (None,) * len(targets)
+    for number, (place, wanted_m) in enumerate(zip(mission.targets_ne_m, wanted, strict=True)):
+        name, field = targets[number].name, f"targets[{number}]"
+        if wanted_m is not None and wanted_m >= top_m:
             rule = f"no path lies higher than {top_m:g} m, the ceiling less the vehicle's errors"
             remedy = "Lower it, or raise altitude.ceiling_amsl_m."
-            field = f"targets[{number}].altitude_amsl_m"
-            raise InputError(field, table.altitude_amsl_m, rule, remedy)
-    if (known := mission.known) is None or mission.near or mission.scanner_component_id is not None:
-        return
-    wanted = mission.altitudes_amsl_m or (None,) * len(targets)
-    for number, table in enumerate(targets):
-        place, wanted_m = mission.targets_ne_m[number], wanted[number]
+            raise InputError(f"{field}.altitude_amsl_m", wanted_m, rule, remedy)
+        if known is None or may_scan:
+            continue
         least_m = lowest_m if wanted_m is None else max(wanted_m, lowest_m)
-        flown_m = _clear_from_m(known, mission.task, place, least_m)
-        if flown_m is None:
-            top_m = mission.task.limits.ceiling_amsl_m
-            rule = f"the ground there is not known, or too high for the ceiling, {top_m:g} m AMSL"
+        if (flown_m := _clear_from_m(known, mission.task, place, least_m)) is None:
+            ceiling_m = mission.task.limits.ceiling_amsl_m
+            rule = f"the ground there is not known, or too high for the ceiling, {ceiling_m:g} m"
             remedy = "Move it, or correct [terrain] or altitude.ceiling_amsl_m."
-            raise InputError(_field(number, table), list(place), rule, remedy)
+            raise InputError(_field(number, targets[number]), list(place), rule, remedy)
         if wanted_m is not None and flown_m - wanted_m > _MENTIONED_M:
             yield (
-                f"{table.name or f'target {number + 1}'} is planned at {wanted_m:g} m AMSL and "
+                f"{name or f'target {number + 1}'} is planned at {wanted_m:g} m AMSL and "
                 f"flown at {flown_m:.0f} m: below that d_s and the vehicle's errors are not kept"
             )
 

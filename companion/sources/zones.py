@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-import numpy as np
 import shapely
 from pydantic import BaseModel, ConfigDict, Field
 from shapely.geometry import shape
@@ -144,42 +143,41 @@ def _zone(
 
     map_ne_m: with what comes near it.  Raises InputError about the field.
     """
-    zone: Zone
+    south, west, north, east = map_ne_m.bounds
     if (radius_m := table.radius_m) is not None:
-        if table.degrees is not None and not _is_near(place := table.local_m(frame)):
-            farthest_m = float(np.hypot(*map_ne_m.exterior.xy).max())
-            if not math.hypot(*place) <= farthest_m + radius_m:  # nor what is no number
+        at = table.local_m(frame)
+        if table.degrees is not None and not _is_near(at):
+            farthest_m = math.hypot(max(-south, north), max(-west, east))
+            if not math.hypot(*at) <= farthest_m + radius_m:  # nor what is no number
                 return None
-            rule = "its centre lies more than 1,000 km from the origin, and it reaches the map"
-            remedy = "Draw its edge near the mission as a polygon."
-            raise InputError(field, [*table.degrees], rule, remedy)
-        north, east = table.place(frame, field)
-        box = shapely.box(north - radius_m, east - radius_m, north + radius_m, east + radius_m)
-        zone = CircleZone(
-            name=table.name, north_m=north, east_m=east, radius_m=radius_m, keep_in=keep_in
+            raise _too_far(table, field)
+        beside_m = max(south - at[0], at[0] - north, west - at[1], at[1] - east)
+        if beside_m > radius_m and not keep_in:
+            return None
+        return CircleZone(
+            name=table.name, north_m=at[0], east_m=at[1], radius_m=radius_m, keep_in=keep_in
         )
-        return zone if keep_in or box.intersects(map_ne_m) else None
     if table.vertices_m is not None:
         corners = drawn = tuple((north, east) for north, east in table.vertices_m)
     else:
         degrees = [(latitude, longitude) for latitude, longitude in table.vertices_deg or []]
         corners, onwards = tuple(frame.to_local_m(*place) for place in degrees), short_way(degrees)
         if onwards is None or not all(map(_is_near, corners)):
-            south, west, north, east = map_ne_m.bounds
             spans = (south, north), (west, east)
             ways = (onwards, degrees)  # around the Earth
             if onwards and not any(parts_within(each, frame, *spans) for each in ways if each):
                 return None
-            rule = (
-                "it may reach the map, and goes around a pole, or some of it lies more than 1,000 "
-                "km from the origin"
-            )
-            raise InputError(field, table.name, rule, "Give only the part near the mission.")
+            raise _too_far(table, field)
         drawn = tuple(frame.to_local_m(*place) for place in straight_in_degrees(onwards))
     if drawn and not keep_in and shapely.MultiPoint(drawn).envelope.disjoint(map_ne_m):
         return None
     rules.refuse(rules.of_polygon(corners, field, table.name))
     return PolygonZone(name=table.name, vertices_ne_m=drawn, keep_in=keep_in)
+
+
+def _too_far(table: ZoneTable, field: str) -> InputError:
+    rule = "it may reach the map, and more than 1,000 km from the origin, or around a pole"
+    return InputError(field, table.name, rule, "Give the part near the mission, as a polygon.")
 
 
 def _is_near(place_ne_m: Place) -> bool:

@@ -69,8 +69,8 @@ def test_a_setting_is_one_key_whose_value_it_replaces_whatever_that_was() -> Non
     ["a = " + "[" * 5000, "a = " + "9" * 10_000, "a.b = 1\na = 2", "\x00", "a = 2020-99-99"],
     ids=["deep", "long", "twice", "nul", "date"],
 )
-def test_what_is_no_toml_is_one_error_in_one_line(tmp_path: Path, text: str) -> None:
-    told = refusal(lambda _, text: toml_table(text, "x.toml"), tmp_path, text)
+def test_what_is_no_toml_is_one_error_in_one_line(text: str) -> None:
+    told = refusal(lambda _, text: toml_table(text, "x.toml"), Path(), text)
     assert told.startswith("file = 'x.toml': not TOML")
 
 
@@ -80,7 +80,6 @@ def test_what_is_no_toml_is_one_error_in_one_line(tmp_path: Path, text: str) -> 
         (b"", "not JSON"),
         (b"[" * 100_000, "not JSON"),
         (b'{"a": ' + b"9" * 10_000 + b"}", "not JSON"),
-        (b'{"a": NaN}', "NaN is no number"),
         (b'{"a": -Infinity}', "-Infinity is no number"),
         (b"[1, 2]", "no JSON object"),
         (b"\xff\xfe{}", "cannot be read"),
