@@ -365,12 +365,9 @@ def _items(path: Path, where: str) -> list[Labelled]:
                 raise InputError(f"line {number}", said, rule, _SAVE_AGAIN) from None
         for number, item in enumerate(loader.wpoints):
             numbers = [item.param1, item.param2, item.param3, item.param4, item.x, item.y, item.z]
-            if any(map(math.isinf, numbers)):
-                rule = "it is made of finite numbers"
-                raise InputError(f"item {number}", numbers, rule, _SAVE_AGAIN)
             given = [None if math.isnan(each) else each for each in numbers]
             table = {"command": item.command, "frame": item.frame, "params": given}
-            found.append((f"item {number}", Item.model_validate(table)))
+            found.append((f"item {number}", validated(Item, table, f"item {number}")))
     return found
 
 

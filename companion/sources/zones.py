@@ -207,15 +207,17 @@ class Zones:
     """What was left out or taken otherwise than it is written, for people."""
 
     def add(
-        self, name: str, where: str, inside: bool, *corners: Any, **shape: float | None
+        self, name: str, where: str, inside: bool, *corners: Any, radius_m: float | None = None
     ) -> None:
-        """A polygon of these corners, latitude first, or a circle of radius_m about one.
+        """A polygon of these corners, latitude first, or a circle about one.
 
         inside: that the vehicle stays inside of.  InputError (where) about a corner.
         """
-        places = [place_deg(corner, where) for corner in corners]
-        zone: RawTable = {"name": name}
-        zone |= places[0] | shape if shape else {"vertices_deg": [[*p.values()] for p in places]}
+        places, zone = [place_deg(corner, where) for corner in corners], RawTable(name=name)
+        if radius_m is None:
+            zone["vertices_deg"] = [[*place.values()] for place in places]
+        else:
+            zone |= {**places[0], "radius_m": radius_m}
         (self.keep_ins if inside else self.keep_outs).append(zone)
 
 
@@ -223,6 +225,7 @@ class Zones:
 
 _REMEDY: Final = "Give a GeoJSON FeatureCollection of polygons and points; see docs/files.md."
 _WGS84: Final = ("CRS84", "4326")
+_GEOMETRIES: Final = ("Point", "Polygon", "MultiPoint", "MultiPolygon", "GeometryCollection")
 _BROKEN: Final = (
     *(ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError),
     shapely.errors.ShapelyError,
@@ -256,6 +259,8 @@ def read_geojson(path: Path, where: str, leave_out: Collection[NoZone] = ()) -> 
         rule = "its coordinates (crs) are not longitude and latitude of WGS84"
         remedy = "Convert it (ogr2ogr -t_srs EPSG:4326 -lco RFC7946=YES)."
         raise InputError(where, str(path), rule, remedy)
+    if found.get("type") in _GEOMETRIES:
+        found = {"type": "Feature", "geometry": found}
     features = [found] if found.get("type") == "Feature" else found.get("features")
     if found.get("type") not in ("FeatureCollection", "Feature") or not isinstance(features, list):
         raise InputError(where, str(path), "it is no GeoJSON FeatureCollection", _REMEDY)

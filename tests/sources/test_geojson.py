@@ -114,7 +114,7 @@ def test_zones_among_lines_are_taken_of_collections_and_many_points(path: Path) 
     mixed = feature("x", 0) | {"geometry": {"type": "GeometryCollection", "geometries": parts}}
     found = read(path, collection(mixed, circles), ALL)
     assert [len(zone.get("vertices_deg", [])) for zone in found.keep_outs] == [3, 3, 0, 0]
-    assert len(read(path, mixed, ALL).keep_outs) == 2
+    assert len(read(path, mixed["geometry"], ALL).keep_outs) == 2
 
 
 def test_a_mission_says_what_it_leaves_out_of_its_map(path: Path) -> None:

@@ -470,7 +470,7 @@ REFUSED: list[tuple[str, str]] = [
     (STATED.replace("highest_amsl_m", "highest_m"), r"Did you mean highest_amsl_m\?"),
     # a sensor of near things
     (scanner('kind = "radar"'), "scanner.kind.*terrain_radar"),
-    (scanner("component = 196"), "scanner.component = 196.*it is of kind obstacle_distance or"),
+    (scanner("yaw_deg = 90.0"), "scanner.yaw_deg = 90.0: it is of kind obstacle_distance or"),
     (scanner(OBSTACLE + "complete = true"), "scanner.complete = True.*it is of kind terrain_radar"),
     (
         scanner(OBSTACLE, (KIND, f"{KIND}\nscanner_component_id = 100")),

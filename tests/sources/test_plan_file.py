@@ -344,7 +344,7 @@ NO_LISTS = [
     ("QGC WPL 120\n", "only QGC WPL 110 is known"),
     (f"{LIST}0 1 0\n", "line 2 = '0 1 0': invalid waypoint line with 3 values"),
     (f"{LIST}\n0 1 0 16 0 0 0 0 x 8 9 1\n", "line 3 = '0 1 0 16 0 0 0 0 x 8 9 1'"),
-    (f"{LIST}0 1 0 16 0 inf 0 0 47 8 9 1\n", "finite numbers"),
+    (f"{LIST}0 1 0 16 0 inf 0 0 47 8 9 1\n", "item 0: params[1] = inf: it must be a finite number"),
     (f"{LIST}0 1 0 16 0 0 0 0 nan 8 9 1\n", "launch has no latitude and longitude"),
     (f"{LIST}0 1 0 16 0 0 0 0 47 8 nan 1\n", "the altitude of launch is missing"),
     (f"{LIST}0 1 0 16.5 0 0 0 0 47 8 9 1\n", "invalid literal for int()"),
