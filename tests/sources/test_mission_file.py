@@ -388,7 +388,6 @@ SHAPE = "a circle or a polygon"
 NONE = [
     ("vertices_deg = [[8.0, 147.0], [47.0, 8.0], [47.0, 8.1]]", "more than 1,000 km"),
     ("vertices_deg = [[108.0, 47.0], [47.0, 8.0], [47.0, 8.1]]", "latitude comes first"),
-    ("vertices_deg = [[47.0, 8.0], [47.0, 8.1]]", "three or more"),
     ("vertices_m = [[0.0, 0.0], [9.0, 9.0], [9.0, 0.0], [0.0, 9.0]]", "cross"),
     ("vertices_m = []", "three or more"),
     ("north_m = 1.0\neast_m = 1.0", SHAPE),
@@ -435,11 +434,9 @@ REFUSED: list[tuple[str, str]] = [
         "end.action = 'land'.*ArduPlane cannot be told to land",
     ),
     (f'{ARDUPLANE}[fallback]\naction = "land"', "fallback.action = 'land'.*ArduPlane"),
-    (PLANE.replace("speed_m_s = 18.0", "speed_m_s = 30.0"), "degrees of bank"),
     # places
     (place("north_m = 1.0"), r"targets\[0\] = \['north_m'\]: a place is given by"),
     (place("north_m = 1.0\nlatitude_deg = 47.0"), "Give one of these pairs"),
-    (place("latitude_deg = 91.0\nlongitude_deg = 8.0"), "less than or equal to 90"),
     (place("latitude_deg = -47.0\nlongitude_deg = -172.0"), "1,000 km from the origin"),
     (place("latitude_deg = 47.1\nlongitude_deg = 8.0"), "outside the map"),
     *((zone(text), rf"keep_outs\[0\].*{words}") for text, words in NONE),
@@ -457,7 +454,6 @@ REFUSED: list[tuple[str, str]] = [
     (BLIND + GUIDES, "terrain.trust = 'guidance'.*guidance proves nothing"),
     # terrain
     (STATED + GUIDES, "mission.toml: terrain.trust = 'guidance'"),
-    (KNOWN + 'trust = "hope"\n', "terrain.trust"),
     ("terrain = 7\n" + COPTER, "terrain = 7: it must be a table"),
     (KNOWN.replace("longitude_deg = 8.0", "longitude_deg = 18.0"), "no height anywhere on the map"),
     (KNOWN.replace("dem.tif", "absent.tif"), "no such file"),
@@ -611,14 +607,3 @@ def test_the_page_of_files_has_every_key_and_the_default_that_it_is_declared_wit
         if default is not None:
             shown = f"{default:g}" if isinstance(default, float) else str(default)
             assert said.get(key, "") == (shown.lower() if default in (True, False) else shown), key
-
-
-@given(
-    st.binary(max_size=60) | st.text(max_size=60).map(lambda text: text.encode("utf-8", "replace"))
-)
-@pytest.mark.parametrize("name", ["mission.toml", "x.plan"])
-def test_any_bytes_are_an_input_error(folder: Path, name: str, content: bytes) -> None:
-    (folder / name).write_bytes(content)
-    with pytest.raises(InputError) as caught:
-        load_mission(str(folder / name))
-    assert len(str(caught.value).splitlines()) == 1
