@@ -249,6 +249,17 @@ def test_keep_outs_away_from_the_map_are_left_out_and_counted(folder: Path) -> N
     assert mission.notes == ("6 of 8 keep-outs lie away from the map",)
 
 
+def test_keep_outs_beside_the_map_count_as_far_as_paths_keep_from_them(folder: Path) -> None:
+    task, square = load(folder, COPTER).task, np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
+    for more_m, count in ((-1.0, 8), (1.0, 0)):
+        off_m = task.zone_search_clearance_m + 10.0 + more_m
+        sides = [6e3 + off_m, -4e3 - off_m]
+        places = [*((north, 0.0) for north in sides), *((0.0, east) for east in sides)]
+        zones = [ZoneTable(name="", north_m=n, east_m=e, radius_m=10.0) for n, e in places]
+        zones += [ZoneTable(name="", vertices_m=(10.0 * square + each).tolist()) for each in places]
+        assert len(zones_of(zones, [], task, FRAME)[0]) == count
+
+
 def star(random: np.random.Generator) -> FloatArray:
     """A concave polygon of 40 to 75 degrees whose rim goes by (0, 0); (latitude, longitude)."""
     angles = np.sort(random.uniform(0.0, 2.0 * math.pi, 7))
