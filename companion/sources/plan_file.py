@@ -567,10 +567,10 @@ def _area(table: RawTable, plan: Plan, sight_m: float) -> RawTable | None:
     cells = np.prod(high - low) / max(round(sight_m / CELLS_PER_RANGE), 1) ** 2
     by_radar = _at(table, "scanner.kind") in (None, "terrain_radar")
     if np.abs([low, high]).max() >= FARTHEST_M or (by_radar and cells > MAX_CELLS):
-        far_m = np.hypot(*(places_m - places_m[0]).T)
-        farthest = ([None, *targets])[int(far_m.argmax())]
+        far_m = np.hypot(*(places_m[1:] - places_m[0]).T)
+        farthest = targets[index := int(far_m.argmax())] if targets else None
         if farthest is not None and farthest.degrees is not None:
-            far = f"{far_m.max() / 1000.0:,.0f} km from launch {plan.home_deg}"
+            far = f"{far_m[index] / 1000.0:,.0f} km from launch {plan.home_deg}"
             remedy = "Correct it or launch, or raise planner.scan_range_m in a mission.toml."
             rule = f"it lies {far}, too far for one map"
             raise InputError(f"{plan.name}: {farthest.name}", [*farthest.degrees], rule, remedy)

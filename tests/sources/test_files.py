@@ -143,6 +143,11 @@ def test_a_plan_is_a_plan_under_any_name(tmp_path: Path, name: bytes) -> None:
     assert refusal(lambda path, _: load_mission(str(path)), path, None).isascii()
 
 
+def test_a_mission_is_called_as_its_plan_as_far_as_a_folder_can_be(tmp_path: Path) -> None:
+    (tmp_path / "über Wald_7.plan").write_bytes(FENCED)
+    assert load_mission(str(tmp_path / "über Wald_7.plan")).name == "ber Wald_7"
+
+
 def test_an_elevation_file_in_a_folder_whose_name_is_no_text_is_refused(tmp_path: Path) -> None:
     folder = tmp_path / os.fsdecode(b"h\xf6he")
     folder.mkdir()

@@ -216,6 +216,29 @@ def test_a_plan_alone_is_a_mission_that_says_what_it_assumed(name: str, tmp_path
     assert mission_text(str(alone)) == text
 
 
+@pytest.mark.parametrize(
+    ("vehicle_type", "turns_m", "angles_deg", "others"),
+    [
+        (2, (20.0, 0.0), (16.6, 16.6), (5.0, 1.5, 5.0, 2000.0, 30.0)),
+        (1, (115.0, 100.0), (7.0, 6.8), (15.0, 2.5, 15.0, 3000.0, 50.0)),
+    ],
+)
+def test_what_a_plan_lacks_is_assumed_as_the_page_of_files_says(
+    path: Path, vehicle_type: int, turns_m: Any, angles_deg: Any, others: Any
+) -> None:
+    content = plan(waypoint(), vehicleType=vehicle_type, hoverSpeed=None, cruiseSpeed=None)
+    path.write_text(json.dumps(content), encoding="utf-8")
+    task = load_mission(str(path)).task
+    limits, settings = task.limits, task.settings
+    assert (limits.turn_radius_m, limits.loiter_radius_m) == turns_m
+    angles = limits.climb_angle_rad, limits.dive_angle_rad
+    assert tuple(map(math.degrees, angles)) == pytest.approx(angles_deg)
+    assert others == (
+        *(limits.speed_m_s, limits.climb_rate_m_s, limits.tracking_error_m),
+        *(settings.scan_range_m, settings.safety_distance_m),
+    )
+
+
 OWN = """
 name = "mine"
 altitude = { floor_amsl_m = 600.0, ceiling_amsl_m = 700.0 }
