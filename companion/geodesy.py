@@ -14,6 +14,7 @@ from typing import TypeVar, final
 import numpy as np
 import numpy.typing as npt
 import pyproj
+import shapely
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -96,6 +97,10 @@ def offset_deg(
 _SIDE = 16
 """Places along each side of a window: between them a side of 1,000 km bulges by less than 1 km."""
 _BEYOND_DEG = 0.1  # more than that bulge, up to the latitude from which a window goes all around
+_EARTH_M = 6.37e6
+_STRAIGHT_M = 0.15
+"""Allowed distance between a side straight in degrees and one straight in the local frame."""
+_MOST_PARTS = 512  # of a side
 _POLAR_DEG = 84.0  # a metre east is ten times as many degrees there as at the equator
 
 
@@ -158,9 +163,27 @@ def short_way(corners_deg: list[tuple[float, float]]) -> list[tuple[float, float
     """
     found = corners_deg[:1]
     for latitude, longitude in corners_deg[1:]:
-        found.append((latitude, found[-1][1] + wrap_deg(longitude - found[-1][1])))
+        found.append((latitude, longitude + 360.0 * round((found[-1][1] - longitude) / 360.0)))
     closes = found[-1][1] + wrap_deg(found[0][1] - found[-1][1]) if found else 0.0
     return found if not found or abs(closes - found[0][1]) < 1.0 else None
+
+
+def straight_in_degrees(corners_deg: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """The corners of a polygon, and so many places between that its sides are straight here, too.
+
+    (latitude, longitude), which goes on, as of `short_way`.  A side bulges in the local frame by
+    length^2 (tan(latitude) + 1) / (8 R) at most.
+    """
+    if len(corners_deg) < 3:
+        return corners_deg
+    ring = shapely.LinearRing(corners_deg)
+    longest_deg = float(np.hypot(*np.diff(ring.coords, axis=0).T).max())
+    steepest = math.tan(math.radians(max(abs(latitude) for latitude, _ in corners_deg)))
+    straight_rad = math.sqrt(8.0 * _STRAIGHT_M / (_EARTH_M * (steepest + 1.0)))
+    step_deg = max(math.degrees(straight_rad), longest_deg / _MOST_PARTS)
+    if longest_deg <= step_deg:
+        return corners_deg
+    return [(latitude, longitude) for latitude, longitude in ring.segmentize(step_deg).coords[:-1]]
 
 
 def wrap_deg(angle_deg: Places) -> Places:

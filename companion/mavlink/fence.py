@@ -14,7 +14,7 @@ import numpy as np
 import shapely
 from msgspec import structs
 
-from companion.geodesy import LocalFrame, deg, parts_within, short_way
+from companion.geodesy import LocalFrame, deg, parts_within, short_way, straight_in_degrees
 from companion.mavlink.dialect import AMSL_FRAMES, HOME_FRAMES, TERRAIN_FRAMES, enum_word, wire
 from companion.mavlink.plan_client import FENCE, PlanClient, PlanItem
 from companion.mission.events import FenceChanged, FenceReading, Vector
@@ -37,12 +37,9 @@ _EVEN_ODD: Final = "it is kept by the even-odd rule, without FENCE_MARGIN"
 _LARGEST_M = 2.1e7  # half of the way around the Earth
 _CORNERS_AT_ONCE = 250
 """Enough for one event."""
-_EARTH_M, _NEAR_M = 6.37e6, 1e6
+_NEAR_M = 1e6
 _AROUND_M = (-5e5, 5e5)
 """Of what has corners beyond that, the part so near: farther than any flight."""
-_STRAIGHT_M = 0.5
-"""Allowed distance between an edge straight in degrees and one straight in the local frame."""
-_MOST_PARTS = 512
 _SAME_M = 1e-3
 """Corners nearer than that in a row are one."""
 
@@ -258,7 +255,7 @@ def places_of(shape: Sequence[PlanItem], frame: LocalFrame) -> list[Point] | Non
         return None
     corners = [(deg(item.x), deg(item.y)) for item in shape]
     if len(corners) >= 3:
-        corners = _straight(_part_near(short_way(corners) or corners, frame))
+        corners = straight_in_degrees(_part_near(short_way(corners) or corners, frame))
     places = np.stack(frame.to_local_m(*np.array(corners).T), axis=-1)
     if not np.isfinite(places).all():
         return None
@@ -271,21 +268,6 @@ def _part_near(corners_deg: list[Point], frame: LocalFrame) -> list[Point]:
         return corners_deg
     parts = parts_within(corners_deg, frame, _AROUND_M, _AROUND_M)
     return parts[0] if len(parts) == 1 else corners_deg
-
-
-def _straight(corners_deg: list[Point]) -> list[Point]:
-    """With so many places on each side that what is straight in degrees is straight enough here.
-
-    A side bulges by length^2 (tan(latitude) + 1) / (8 R) at most.
-    """
-    ring = shapely.LinearRing(corners_deg)
-    sides_deg = np.hypot(*np.diff(ring.coords, axis=0).T)
-    steepest = math.tan(math.radians(max(abs(latitude) for latitude, _ in corners_deg)))
-    straight_rad = math.sqrt(8.0 * _STRAIGHT_M / (_EARTH_M * (steepest + 1.0)))
-    step_deg = max(math.degrees(straight_rad), sides_deg.max() / _MOST_PARTS)
-    if sides_deg.max() <= step_deg:
-        return corners_deg
-    return [(latitude, longitude) for latitude, longitude in ring.segmentize(step_deg).coords[:-1]]
 
 
 def conflicts(fence: Fence, task: Task, targets_ne_m: Sequence[Point]) -> tuple[str, ...]:

@@ -18,7 +18,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag
 from pydantic_core import PydanticCustomError
 
 from companion.errors import InputError
-from companion.geodesy import LocalFrame, wrap_rad
+from companion.geodesy import FloatArray, LocalFrame, wrap_rad
 from companion.mavlink.autopilots import named
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, wire
 from companion.mission.mission import EndAction, Fallback, Mission
@@ -67,7 +67,6 @@ _MENTIONED_M = 1.0  # a smaller difference is worth no mention
 _STEP_M = 5.0
 _Slope = Annotated[float, Field(gt=0.0, lt=90.0), AfterValidator(math.radians)]
 _Bearing = Annotated[float, Field(ge=-360.0, le=360.0), AfterValidator(math.radians)]
-_REMOVE_ONE: Final = "Remove one of them."
 _LIDAR_COMPONENT: Final = wire.MAV_COMP_ID_OBSTACLE_AVOIDANCE
 _RADAR: Final = "terrain_radar"
 
@@ -99,17 +98,14 @@ class VehicleTable(
 
     def broken(self) -> Iterator[Broken]:
         """It has what its kind needs, and nothing of another kind."""
-        component, loiter_m = self.scanner_component_id, self.loiter_radius_m
-        is_plane, yaw_deg = self.kind == "plane", math.degrees(self.yaw_rad or 0.0)
+        is_plane, loiter_m = self.kind == "plane", self.loiter_radius_m
         yield from broken_of(
-            (not self.scanner and component is not None, "scanner_component_id", component,
-             "scanner = false says that there is no terrain radar", _REMOVE_ONE),
             (not is_plane and loiter_m is not None, "loiter_radius_m", loiter_m,
              "a copter stops where it holds: it needs no circle", "Remove it."),
             (is_plane and loiter_m is None, "loiter_radius_m", None,
              "it is missing: a plane cannot stop, it holds on circles",
              "Add loiter_radius_m, as the autopilot has it (WP_LOITER_RAD, NAV_LOITER_RAD)."),
-            (is_plane and self.yaw_rad is not None, "yaw_deg", yaw_deg,
+            (is_plane and self.yaw_rad is not None, "yaw_deg", math.degrees(self.yaw_rad or 0.0),
              "a plane's nose points where it flies", "Remove it."),
         )  # fmt: skip
 
@@ -137,19 +133,16 @@ class ScannerTable(
 
     def broken(self) -> Iterator[Broken]:
         """It says what its kind has."""
-        is_radar, component, keys = self.kind == _RADAR, self.component_id, type(self).model_fields
-        of_others = self.model_fields_set - {"kind", "scanner_complete"} if is_radar else set()
-        for name in sorted(of_others):
-            rule = "a terrain radar has no such key: it is of the other kinds"
-            remedy = f"Remove it, or write one of these kinds: {', '.join(get_args(Kind))}."
-            yield keys[name].alias or name, getattr(self, name), rule, remedy
-        yield from broken_of(
-            (not is_radar and "scanner_complete" in self.model_fields_set, "complete",
-             self.scanner_complete, "it is a radar's",
-             'Remove it, or write kind = "terrain_radar".'),
-            (component == COMPANION_COMPONENT, "component", component,
-             "that is the companion itself", "Give the driver another, as 196."),
-        )  # fmt: skip
+        is_radar, of_radars = self.kind == _RADAR, {"scanner_complete"}
+        said = self.model_fields_set - {"kind"}
+        rule = f"it is of kind {' or '.join(get_args(Kind)) if is_radar else _RADAR}"
+        for name in sorted(said - of_radars if is_radar else said & of_radars):
+            key, value = type(self).model_fields[name].alias or name, getattr(self, name)
+            value = math.degrees(value) if key.endswith("_deg") else value
+            yield key, value, rule, "Remove it, or write that kind."
+        if self.component_id == COMPANION_COMPONENT:
+            rule = "that is the companion itself"
+            yield "component", self.component_id, rule, "Give the driver another, as 196."
 
     def sensor(self, range_m: float) -> NearSensor | None:
         """The sensor of near things, where that is the scanner."""
@@ -248,14 +241,9 @@ class StatedTable(Table):
         """The highest that it may be at a place, metres AMSL."""
         return self.highest_amsl_m
 
-    def known_map(self, _frame: LocalFrame, blank: KnownMap, *, may_be_scanned: bool) -> KnownMap:
-        """A blank map with it everywhere; a radar, if there is one, may see it lower."""
-        return replace(
-            blank,
-            upper_m=np.full(blank.shape, self.highest_amsl_m),
-            seen=np.full(blank.shape, not may_be_scanned),
-            given=np.ones(blank.shape, dtype=bool),
-        )
+    def upper_m(self, _frame: LocalFrame, blank: KnownMap) -> FloatArray:
+        """It, in each cell of a map."""
+        return np.full(blank.shape, self.highest_amsl_m)
 
 
 def _kind_of_terrain(table: Any) -> str:
@@ -273,20 +261,11 @@ class _OnlyTerrain(Table):
     terrain: KnownTerrain
 
 
-def _folder_name(name: str) -> str:
-    if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}", name) is None:
-        rule = (
-            "it must be up to 64 of A-Z, a-z, 0-9, space and _.-, and begin with one of the first"
-        )
-        raise PydanticCustomError("name", rule)
-    return name
-
-
 class MissionTable(Table):
     """A mission.toml, with what other files that it names hold."""
 
     schema_: Literal[1] = Field(alias="schema")
-    name: Annotated[str, AfterValidator(_folder_name)]
+    name: str
     plan: FileName | None = None
     threats: FileName | None = None
     origin: OriginTable
@@ -319,10 +298,8 @@ class MissionTable(Table):
 
     def broken(self) -> Iterator[Broken]:
         """Its tables fit one another."""
-        vehicle, terrain, targets = self.vehicle, self.terrain, self.targets
-        from_vehicle = self.from_vehicle.targets_from_vehicle
-        near, guides = self.scanner.kind != _RADAR, self.is_for_guidance
-        component, speaks_m = vehicle.scanner_component_id, self.scanner.speaks_for_m
+        vehicle, scanner, blind = self.vehicle, self.scanner, not self.scans_ground
+        near, component = scanner.kind != _RADAR, vehicle.scanner_component_id
         height_m = self.altitude.ceiling_amsl_m - self.altitude.floor_amsl_m
         if vehicle.kind == "plane" and vehicle.autopilot is not None:
             strategy = named(vehicle.autopilot, vehicle.kind)
@@ -331,31 +308,31 @@ class MissionTable(Table):
                 if action.value == "land" and not strategy.traits.lands:
                     rule = f"{strategy.name} cannot be told to land where it is"
                     yield key, action.value, rule, 'Write "hold" or "return".'
+        letters = re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}", self.name)
         yield from broken_of(  # by a sensor of near things flies who can stop, over known ground
-            (near and component is not None, "vehicle.scanner_component_id", component,
-             "it is the terrain radar's", "Write scanner.component."),
-            (near and vehicle.kind != "copter", "scanner.kind", self.scanner.kind,
+            (letters is None, "name", self.name,
+             "it must be up to 64 of A-Z, a-z, 0-9, space and _.-, and begin with one of the first",
+             "Rename it."),
+            (blind and component is not None, "vehicle.scanner_component_id", component,
+             "there is no terrain radar", "Remove it, or of a lidar write scanner.component."),
+            (near and vehicle.kind != "copter", "scanner.kind", scanner.kind,
              "only what can stop may fly by a sensor of near things",
              "Use a terrain radar for a plane."),
-            (near and speaks_m < height_m, "scanner.speaks_for_m", speaks_m,
+            (near and scanner.speaks_for_m < height_m, "scanner.speaks_for_m", scanner.speaks_for_m,
              f"its beams are flat, and altitude's band is {height_m:g} m high",
              f"Raise it to {height_m:g} if what stands there is so tall, or narrow the band."),
-            (near and (terrain is None or guides), "terrain.trust" if guides else "terrain",
-             "guidance" if guides else None, "a sensor of near things does not see the ground",
-             "Add [terrain] with highest_amsl_m, or with an elevation file that is trusted."),
-            (not vehicle.scanner and self.scanner != ScannerTable(), "scanner",
-             self.scanner.model_dump(by_alias=True),
-             "vehicle.scanner = false says that there is no terrain radar", _REMOVE_ONE),
-            (not vehicle.scanner and terrain is None, "vehicle.scanner", False,
+            (not vehicle.scanner and scanner != ScannerTable(), "vehicle.scanner", False,
+             "[scanner] says what it is", "Remove one of them."),
+            (blind and self.terrain is None, "terrain", None,
              "without a terrain radar nothing is known of the ground",
-             "Add [terrain] with a file or highest_amsl_m, or remove scanner = false."),
-            (not vehicle.scanner and guides, "terrain.trust", "guidance",
-             "without a terrain radar nothing would be proven, as guidance proves nothing",
-             'Write terrain.trust = "proof", or remove scanner = false.'),
-            (from_vehicle and targets is not None, "targets", len(targets or ()),
-             "the targets come from the vehicle (from_vehicle.targets)", _REMOVE_ONE),
-            (not from_vehicle and targets is None, "targets", None, "it is missing",
-             "Add [[targets]], or from_vehicle.targets = true; see docs/files.md."),
+             "Add [terrain] with highest_amsl_m, or with an elevation file that is trusted."),
+            (blind and self.is_for_guidance, "terrain.trust", "guidance",
+             "guidance proves nothing, and without a terrain radar nothing else does",
+             'Write terrain.trust = "proof", or use a terrain radar.'),
+            (self.from_vehicle.targets_from_vehicle is (self.targets is not None), "targets",
+             self.targets and len(self.targets),
+             "there are either [[targets]], or the vehicle's own (from_vehicle.targets = true)",
+             "Write one of both; see docs/files.md."),
         )  # fmt: skip
 
 
@@ -437,32 +414,8 @@ def mission_of(model: MissionTable, profile: str | None, notes: tuple[str, ...] 
 
     Raises InputError for the first rule about the planner, a place or another file that is broken.
     """
-    vehicle, terrain, targets = model.vehicle, model.terrain, model.targets or []
-    frame = LocalFrame(**dict(model.origin))
-    near = model.scanner.sensor(model.planner.scan_range_m)
-    stated_m = terrain.highest_amsl_m if isinstance(terrain, StatedTable) else None
-    limits, settings = _limits(model), _settings(model, profile)
-    if near is not None:
-        settings = replace(settings, cell_m=cell_for_m(near.range_m, limits.north_m, limits.east_m))
-        limits = replace(limits, overrun_m=settings.safety_distance_m)
-    handling = COPTER if vehicle.kind == "copter" else PLANE  # the widest
-    if vehicle.autopilot is not None:
-        handling = named(vehicle.autopilot, vehicle.kind).traits.handling
-    task = Task(
-        limits=limits,
-        settings=settings,
-        handling=handling,
-        convergence_rad=frame.convergence_rad(limits.north_m, limits.east_m),
-        radars=tuple(
-            radar.radar(frame, f"radars[{index}]") for index, radar in enumerate(model.radars)
-        ),
-        stated_ground_amsl_m=None if model.scans_ground else stated_m,
-    )
-    task, slower = rules.slowed_to_sight(task), ""
-    asked_m_s, flown_m_s = limits.speed_m_s, task.limits.speed_m_s
-    if flown_m_s < asked_m_s:
-        slower = f"R = {settings.scan_range_m:g} m is too short for V = {asked_m_s:g} m/s (eq. 4): "
-        slower += f"it is flown at {flown_m_s:g} m/s; raise planner.scan_range_m to fly faster"
+    targets, frame = model.targets or [], LocalFrame(**dict(model.origin))
+    task, slower = _task(model, frame, profile)
     rules.refuse(rules.of_task(task))
     zones, far = zones_of(model.keep_outs, model.keep_ins, task, frame)
     task = replace(task, zones=zones)
@@ -470,13 +423,14 @@ def mission_of(model: MissionTable, profile: str | None, notes: tuple[str, ...] 
     for number, target in enumerate(targets):
         places.append(target.place(frame, _field(number, target)))
         rules.refuse(rules.of_target(task, places[-1], _field(number, target)))
-    said = (vehicle, model.end, model.fallback, model.battery, model.link, model.from_vehicle)
-    as_written = {key: each for table in said for key, each in table.of(Mission).items()}
+    said = (model.vehicle, model.end, model.fallback, model.battery, model.link, model.from_vehicle)
+    as_written = {key: value for each in said for key, value in each.of(Mission).items()}
     if not model.scans_ground:
         as_written["scanner_component_id"] = None
-    about_ground = ""
-    if stated_m is not None:  # a person should be told once more before it is flown by
-        about_ground = f"the ground is taken to be nowhere higher than {stated_m:g} m AMSL"
+    stated = ""
+    if isinstance(terrain := model.terrain, StatedTable):  # told once more before it is flown by
+        height = f"{terrain.highest_amsl_m:g} m AMSL"
+        stated = f"the ground is taken to be nowhere higher than {height}"
     mission = Mission(
         name=model.name,
         frame=frame,
@@ -484,13 +438,13 @@ def mission_of(model: MissionTable, profile: str | None, notes: tuple[str, ...] 
         altitudes_amsl_m=_carried_on([each.altitude_amsl_m for each in targets]),
         task=task,
         scanner_complete=model.scanner.scanner_complete,
-        near=near,
+        near=model.scanner.sensor(model.planner.scan_range_m),
         known=_known_map(model, task, frame),
         rally_ne_m=tuple(
             point.place(frame, f"rally_points[{index}]")
             for index, point in enumerate(model.rally_points)
         ),
-        notes=tuple(filter(None, (*notes, slower, far, about_ground))),
+        notes=tuple(filter(None, (*notes, slower, far, stated))),
         **as_written,
     )
     return replace(mission, notes=(*mission.notes, *_about_altitudes(mission, targets)))
@@ -501,32 +455,63 @@ def _field(number: int, target: TargetTable) -> str:
     return f"targets[{number}]" + (f" ({target.name})" if target.name else "")
 
 
-def _limits(model: MissionTable) -> Limits:
+def _task(model: MissionTable, frame: LocalFrame, profile: str | None) -> tuple[Task, str]:
+    """The task, but for zones, and that it is flown more slowly than is asked for, if it is."""
+    vehicle, planner, terrain = model.vehicle, model.planner, model.terrain
     north_m, east_m = model.area.sides_m
-    as_written = model.vehicle.of(Limits) | model.altitude.of(Limits)
-    return Limits(north_m=north_m, east_m=east_m, **as_written)
-
-
-def _settings(model: MissionTable, profile: str | None) -> PlannerSettings:
-    planner = model.planner
-    as_written = {"overlap_m": 0.1 * planner.scan_range_m} | planner.of(PlannerSettings)
-    as_written["position_period_s"] = 1.0 / model.vehicle.position_rate_hz
-    as_written["profile"] = PROFILES[profile or planner.profile]
-    as_written["weights"] = Weights(**dict(planner.weights))
-    return PlannerSettings(**as_written)
+    limits = Limits(
+        north_m=north_m, east_m=east_m, **vehicle.of(Limits), **model.altitude.of(Limits)
+    )
+    settings = PlannerSettings(
+        **{"overlap_m": 0.1 * planner.scan_range_m}
+        | planner.of(PlannerSettings)
+        | {
+            "position_period_s": 1.0 / vehicle.position_rate_hz,
+            "profile": PROFILES[profile or planner.profile],
+            "weights": Weights(**dict(planner.weights)),
+        }
+    )
+    if model.scanner.kind != _RADAR:
+        cell_m = cell_for_m(settings.scan_range_m, north_m, east_m)
+        settings = replace(settings, cell_m=cell_m)
+        limits = replace(limits, overrun_m=settings.safety_distance_m)
+    handling = COPTER if vehicle.kind == "copter" else PLANE  # the widest
+    if vehicle.autopilot is not None:
+        handling = named(vehicle.autopilot, vehicle.kind).traits.handling
+    stated_m = terrain.highest_amsl_m if isinstance(terrain, StatedTable) else None
+    asked = Task(
+        limits=limits,
+        settings=settings,
+        handling=handling,
+        convergence_rad=frame.convergence_rad(north_m, east_m),
+        radars=tuple(
+            radar.radar(frame, f"radars[{index}]") for index, radar in enumerate(model.radars)
+        ),
+        stated_ground_amsl_m=None if model.scans_ground else stated_m,
+    )
+    task, slower = rules.slowed_to_sight(asked), ""
+    if (flown_m_s := task.limits.speed_m_s) < (asked_m_s := limits.speed_m_s):
+        slower = f"R = {settings.scan_range_m:g} m is too short for V = {asked_m_s:g} m/s (eq. 4): "
+        slower += f"it is flown at {flown_m_s:g} m/s; raise planner.scan_range_m to fly faster"
+    return task, slower
 
 
 def _known_map(model: MissionTable, task: Task, frame: LocalFrame) -> KnownMap | None:
-    """The terrain known in advance, on the lattice of the mission's map."""
+    """The terrain known in advance, on the lattice of the mission's map.
+
+    It counts as seen, so that nothing looks at it again, unless a radar may: a scan replaces it,
+    downwards too.
+    """
     if model.terrain is None:
         return None
     blank = empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
-    told = model.terrain.known_map(frame, blank, may_be_scanned=model.vehicle.scanner)
+    upper_m = model.terrain.upper_m(frame, blank)
     if task.settings.is_near:  # known is the ground, and nothing of what stands on it
-        return replace(blank, guess_m=told.upper_m)
+        return replace(blank, guess_m=upper_m)
+    known = np.isfinite(upper_m)
     if model.is_for_guidance:
-        return replace(blank, guess_m=np.where(told.surveyed, told.upper_m, np.nan))
-    return told
+        return replace(blank, guess_m=np.where(known, upper_m, np.nan))
+    return replace(blank, upper_m=upper_m, seen=known & (not model.vehicle.scanner), given=known)
 
 
 # --- the altitudes of targets, held against the ground that is known before take-off
@@ -547,28 +532,25 @@ def _about_altitudes(mission: Mission, targets: list[TargetTable]) -> Iterator[s
     is not known.
     """
     lowest_m, top_m = mission.task.band_amsl_m
-    for number, table in enumerate(targets):
-        if table.altitude_amsl_m is not None and table.altitude_amsl_m >= top_m:
+    known, may_scan = mission.known, mission.near or mission.scanner_component_id is not None
+    wanted = mission.altitudes_amsl_m or (None,) * len(targets)
+    for number, (place, wanted_m) in enumerate(zip(mission.targets_ne_m, wanted, strict=True)):
+        name, field = targets[number].name, f"targets[{number}]"
+        if wanted_m is not None and wanted_m >= top_m:
             rule = f"no path lies higher than {top_m:g} m, the ceiling less the vehicle's errors"
             remedy = "Lower it, or raise altitude.ceiling_amsl_m."
-            field = f"targets[{number}].altitude_amsl_m"
-            raise InputError(field, table.altitude_amsl_m, rule, remedy)
-    may_scan = mission.near is not None or mission.scanner_component_id is not None
-    if mission.known is None or may_scan:
-        return
-    altitudes = mission.altitudes_amsl_m or (None,) * len(targets)
-    places = zip(mission.targets_ne_m, altitudes, targets, strict=False)
-    for number, (place, wanted_m, table) in enumerate(places):
+            raise InputError(f"{field}.altitude_amsl_m", wanted_m, rule, remedy)
+        if known is None or may_scan:
+            continue
         least_m = lowest_m if wanted_m is None else max(wanted_m, lowest_m)
-        flown_m = _clear_from_m(mission.known, mission.task, place, least_m)
-        if flown_m is None:
-            top_m = mission.task.limits.ceiling_amsl_m
-            rule = f"the ground there is not known, or too high for the ceiling, {top_m:g} m AMSL"
+        if (flown_m := _clear_from_m(known, mission.task, place, least_m)) is None:
+            ceiling_m = mission.task.limits.ceiling_amsl_m
+            rule = f"the ground there is not known, or too high for the ceiling, {ceiling_m:g} m"
             remedy = "Move it, or correct [terrain] or altitude.ceiling_amsl_m."
-            raise InputError(_field(number, table), list(place), rule, remedy)
+            raise InputError(_field(number, targets[number]), list(place), rule, remedy)
         if wanted_m is not None and flown_m - wanted_m > _MENTIONED_M:
             yield (
-                f"{table.name or f'target {number + 1}'} is planned at {wanted_m:g} m AMSL and "
+                f"{name or f'target {number + 1}'} is planned at {wanted_m:g} m AMSL and "
                 f"flown at {flown_m:.0f} m: below that d_s and the vehicle's errors are not kept"
             )
 

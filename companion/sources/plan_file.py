@@ -6,11 +6,12 @@ companion chooses its own within a band.
 """
 
 import math
-from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self, final
+from typing import Annotated, Any, Final, Literal, NamedTuple, Self, final
 
 import numpy as np
 from pydantic import AliasPath, BaseModel, ConfigDict, Field, ValidationError
@@ -27,7 +28,7 @@ from companion.profiles import FLIGHT
 from companion.ranges import Longitude, Positive
 from companion.sources.files import RawTable, json_table, merged, read_text, within
 from companion.sources.tables import OriginTable, validated
-from companion.sources.zones import TargetTable, Zones
+from companion.sources.zones import FARTHEST_M, TargetTable, Zones, place_deg
 
 _TERRAIN_MODES: Final = (3, 4)
 """AltitudeMode of QGroundControl: above terrain, sent as AMSL (3) or as it is (4)."""
@@ -39,6 +40,7 @@ _ENDS: Final = {
 }
 """Commands that end a mission, and how."""
 _NO_ALTITUDE: Final = "waypoint without an altitude (that of the one before is taken)"
+_NO_GROUND: Final = "altitude above terrain, where the ground is not known (give [terrain])"
 _NOT_FLOWN: Final = (wire.MAV_CMD_NAV_DELAY, wire.MAV_CMD_NAV_ROI)
 """Of the commands up to MAV_CMD_NAV_LAST, those that may be left out."""
 _REMEDY: Final = "Give a .plan that QGroundControl has saved."
@@ -79,9 +81,10 @@ class Item(_Json):
         """Latitude, longitude, altitude; None for what is not given."""
         return [*self.params[4:7], None, None, None][:3]
 
-    def is_with(self, other: "Item") -> bool:
-        """Whether they are corners of one polygon."""
-        return (self.command, self.params[:1]) == (other.command, other.params[:1])
+    @property
+    def size(self) -> float:
+        """Corners of a polygon that it is one of, or the radius of a circle."""
+        return (self.params or [None])[0] or 0.0
 
 
 class _Mission(_Json):
@@ -132,6 +135,8 @@ class Plan(Zones):
     """The file's name."""
     home_deg: tuple[float, float]
     home_amsl_m: float
+    ground: Ground | None = None
+    """What is known of it, for altitudes above terrain."""
     kind: str | None = None
     """ "copter" or "plane"; None: it does not say."""
     speed_m_s: dict[str, float | None] = field(default_factory=dict)
@@ -144,21 +149,24 @@ class Plan(Zones):
     """Items at so many metres above terrain where it is not known how high that is."""
     end_action: str = "hold"
     rally_points: list[RawTable] = field(default_factory=list)
-
-    ground: Ground | None = None
-    """What is known of it, for altitudes above terrain."""
     left_out: Counter[str] = field(default_factory=Counter)
     """How often what of an item is not done, in words."""
     ended_by: str = ""
     """The command after which nothing is flown."""
     home_moves: bool = False
 
-    def add_zone(self, name: str, where: str, inside: bool, *corners: Any, **shape: float) -> None:
-        """A polygon of these corners, or a circle of radius_m about one; InputError (where)."""
-        places = [place_deg(corner, where) for corner in corners]
-        zone: RawTable = {"name": name}
-        zone |= places[0] | shape if shape else {"vertices_deg": [[*p.values()] for p in places]}
-        self.add(zone, inside=inside)
+    @classmethod
+    def launched(
+        cls, name: str, home: list[float | None], where: str, remedy: str, ground: Ground | None
+    ) -> Self:
+        """An empty plan with its launch; InputError (where) if there is no such place."""
+        if not is_place(home):
+            raise InputError(where, home, "launch has no latitude and longitude", remedy)
+        latitude, longitude = place_deg(home, where).values()
+        if (amsl_m := home[2]) is None:
+            rule = "the altitude of launch is missing, and altitudes are measured from it"
+            raise InputError(where, home, rule, f"{remedy} Or write its metres AMSL there.")
+        return cls(name=name, home_deg=(latitude, longitude), home_amsl_m=amsl_m, ground=ground)
 
     def take(self, items: Iterable[Labelled]) -> None:
         """Add mission items.  Raises InputError naming one that cannot be flown."""
@@ -219,40 +227,35 @@ class Plan(Zones):
 
     def _altitude_amsl_m(self, item: Item, where: str) -> float | None:
         """How high an item was meant to be, if that can be known: remembered."""
-        given, above_home = item.place[2], item.frame in HOME_FRAMES
+        given, is_take_off = item.place[2], item.command in _TAKE_OFFS
+        above_m: float | None = 0.0  # sea level
         if item.frame in TERRAIN_FRAMES or item.altitude_mode in _TERRAIN_MODES:
-            altitude = self._above_terrain(item, given, where)
-        elif not (above_home or item.frame in AMSL_FRAMES) or (self.home_moves and above_home):
-            why = ", as do set home comes before it" if above_home else ""
+            if item.above_terrain_amsl_m is not None:  # the plan's own word of it
+                given = item.above_terrain_amsl_m
+            elif item.frame not in AMSL_FRAMES or given in (None, item.altitude_m):
+                given = given if item.altitude_m is None else item.altitude_m
+                above_m = self._ground_amsl_m(item, where)
+        elif item.frame in HOME_FRAMES and not self.home_moves:
+            above_m = self.home_amsl_m
+        elif item.frame not in AMSL_FRAMES:
+            why = ", as do set home comes before it" if item.frame in HOME_FRAMES else ""
             rule = f"what its altitude is above is not known{why}"
             raise InputError(f"{where}.frame", item.frame, rule, "Give it above sea level.")
-        else:
-            above_m = self.home_amsl_m if above_home else 0.0
-            altitude = None if given is None else above_m + given
-            if altitude is None and item.command not in _TAKE_OFFS:
-                self.left_out[_NO_ALTITUDE] += 1
-        if altitude is not None:
-            self.altitudes_amsl_m.append(altitude)
-        return altitude
+        if given is None:
+            self.left_out.update([] if is_take_off else [_NO_ALTITUDE])
+            return None
+        if above_m is None:
+            self.unknown_altitudes.append((f"{self.name}: {where}", given))
+            self.left_out[_NO_GROUND] += 1
+            return None
+        self.altitudes_amsl_m.append(above_m + given)
+        return above_m + given
 
-    def _above_terrain(self, item: Item, given: float | None, where: str) -> float | None:
-        """By the plan's own word of it, else by the ground that is known there."""
-        if item.above_terrain_amsl_m is not None:
-            return item.above_terrain_amsl_m
-        if item.frame in AMSL_FRAMES and given not in (None, item.altitude_m):
-            return given  # AltitudeMode 3: this is what is sent
-        height_m = given if item.altitude_m is None else item.altitude_m
-        if height_m is None:
-            self.left_out[_NO_ALTITUDE] += 1
-            return None
-        if item.command in _TAKE_OFFS:  # at launch, which stands on the ground
-            return self.home_amsl_m + height_m
-        latitude, longitude = place_deg(item.place, where).values()
-        ground_m = None if self.ground is None else self.ground(latitude, longitude)
-        if ground_m is None:
-            self.unknown_altitudes.append((f"{self.name}: {where}", height_m))
-            return None
-        return ground_m + height_m
+    def _ground_amsl_m(self, item: Item, where: str) -> float | None:
+        """How high the ground is below an item: of a take-off as at launch, which stands on it."""
+        if item.command in _TAKE_OFFS:
+            return self.home_amsl_m
+        return self.ground and self.ground(*place_deg(item.place, where).values())
 
 
 def read_plan(path: Path, where: str, ground: Ground | None = None) -> Plan:
@@ -267,15 +270,16 @@ def read_plan(path: Path, where: str, ground: Ground | None = None) -> Plan:
     with within(path.name):
         content = validated(_Plan, found)
         mission, remedy = content.mission, "Set it in QGroundControl (Mission Start)."
-        plan = launched(path.name, mission.home, "mission.plannedHomePosition", remedy)
-        plan.kind, plan.ground = _kind(mission.vehicle_type), ground
+        home = "mission.plannedHomePosition"
+        plan = Plan.launched(path.name, mission.home, home, remedy, ground)
+        plan.kind = _kind(mission.vehicle_type)
         plan.speed_m_s = {"copter": mission.hover_speed_m_s, "plane": mission.cruise_speed_m_s}
         for k, circle in enumerate(content.fence.circles):
             at, inside, radius_m = f"geoFence.circles[{k}]", circle.inclusion, circle.radius
-            plan.add_zone(f"fence circle {k + 1}", at, inside, circle.center, radius_m=radius_m)
+            plan.add(f"fence circle {k + 1}", at, inside, circle.center, radius_m=radius_m)
         for k, polygon in enumerate(content.fence.polygons):
             at = f"geoFence.polygons[{k}]"
-            plan.add_zone(f"fence polygon {k + 1}", at, polygon.inclusion, *polygon.polygon)
+            plan.add(f"fence polygon {k + 1}", at, polygon.inclusion, *polygon.polygon)
         for k, point in enumerate(content.rally.points):
             plan.rally_points.append(place_deg(point, f"rallyPoints.points[{k}]"))
         if (count := len(plan.keep_ins)) > 1:
@@ -284,29 +288,9 @@ def read_plan(path: Path, where: str, ground: Ground | None = None) -> Plan:
     return plan.with_left_out()
 
 
-def launched(name: str, home: list[float | None], where: str, remedy: str) -> Plan:
-    """An empty plan with its launch; InputError (where) if there is no such place."""
-    if not is_place(home):
-        raise InputError(where, home, "launch has no latitude and longitude", remedy)
-    latitude, longitude = place_deg(home, where).values()
-    if home[2] is None:
-        rule = "the altitude of launch is missing, and the plan's altitudes are measured from it"
-        raise InputError(where, home, rule, f"{remedy} Or write its metres AMSL there.")
-    return Plan(name=name, home_deg=(latitude, longitude), home_amsl_m=home[2])
-
-
 def is_place(place: Sequence[float | None]) -> bool:
     """Whether it says where: many programs write two zeros where they do not."""
     return None not in place[:2] and any(place[:2])
-
-
-def place_deg(place: Sequence[float | None], where: str) -> RawTable:
-    """A place, latitude first, as a table; InputError (where) if there is none, in degrees."""
-    latitude, longitude = place[:2]
-    if not (abs(latitude or 0.0) <= 90.0 and abs(longitude or 0.0) <= 180.0):
-        rule = "out of range: latitude, -90 to 90, then longitude, -180 to 180"
-        raise InputError(where, [latitude, longitude], rule, "Correct it.")
-    return {"latitude_deg": latitude, "longitude_deg": longitude}
 
 
 def _kind(vehicle_type: int) -> str | None:
@@ -327,7 +311,10 @@ def _word(enum: str, number: int | None) -> str:
 
 _HEAD: Final = "QGC WPL"
 _SAVE_AGAIN: Final = "Save it again with Mission Planner, MAVProxy or QGroundControl."
-_RALLY = wire.MAV_CMD_NAV_RALLY_POINT
+_POLYGONS: Final = (fence.POLYGON_IN, fence.POLYGON_OUT)
+_CIRCLES: Final = (fence.CIRCLE_IN, fence.CIRCLE_OUT)
+_RALLY: Final = wire.MAV_CMD_NAV_RALLY_POINT
+_OF_ZONES: Final = (*_POLYGONS, *_CIRCLES, fence.RETURN_POINT, _RALLY)
 
 
 def read_waypoint_list(path: Path, where: str, ground: Ground | None = None) -> Plan:
@@ -337,41 +324,38 @@ def read_waypoint_list(path: Path, where: str, ground: Ground | None = None) -> 
     """
     items = _items(path, where)
     remedy = "Set home before you save it. (A list of zones alone: name it as threats.)"
-    if not items or _is_of_zones(items[0][1]):
+    if not items or items[0][1].command in _OF_ZONES:
         rule = "launch, its first item, has no latitude and longitude"
         raise InputError(where, path.name, rule, remedy)
-    label, home = items.popleft()
+    (label, home), *items = items
     with within(path.name):
-        plan = launched(path.name, home.place, f"{label} (launch)", remedy)
+        plan = Plan.launched(path.name, home.place, f"{label} (launch)", remedy, ground)
         if home.frame not in AMSL_FRAMES:
             said = f"of frame {home.frame}, is taken to be above mean sea level"
             plan.notes.append(f"launch: its altitude, {plan.home_amsl_m:g} m {said}")
-        plan.ground = ground
-        plan.take(_without_zones(items, plan))
+        plan.rally_points = _take_zones(items, plan)
+        plan.take(each for each in items if each[1].command not in _OF_ZONES)
     return plan.with_left_out()
 
 
 def read_waypoint_fence(path: Path, where: str) -> Zones:
     """The fence in such a list, which may lack a launch; InputError as above."""
-    items = _items(path, where)
-    if items and not _is_of_zones(items[0][1]):
-        items.popleft()
-    plan = Plan(name=path.name, home_deg=(math.nan, math.nan), home_amsl_m=math.nan)
+    items, zones = _items(path, where), Zones()
     with within(path.name):
-        plan.take(_without_zones(items, plan))
-    if count := len(plan.targets):
-        plan.notes.append(f"{path.name}: its {count} waypoints are not flown")
-    return plan
+        _take_zones(items, zones)
+    if count := sum(item.command not in _OF_ZONES for _, item in items[1:]):
+        zones.notes.append(f"{path.name}: {count} items of its mission are not flown")
+    return zones
 
 
-def _items(path: Path, where: str) -> deque[Labelled]:
+def _items(path: Path, where: str) -> list[Labelled]:
     """By pymavlink, line by line: its `load` names no line, and takes the locale's encoding."""
     from pymavlink import mavwp  # it is not needed by most missions
 
     head, *lines = read_text(path, where, _SAVE_AGAIN).lstrip().splitlines()
     if head.split() != [*_HEAD.split(), "110"]:
         raise InputError(where, head.strip(), f"only {_HEAD} 110 is known", _SAVE_AGAIN)
-    loader, found = mavwp.MAVWPLoader(), deque[Labelled]()
+    loader, found = mavwp.MAVWPLoader(), list[Labelled]()
     with within(path.name):
         for number, line in enumerate(lines, start=2):
             try:
@@ -381,43 +365,36 @@ def _items(path: Path, where: str) -> deque[Labelled]:
                 raise InputError(f"line {number}", said, rule, _SAVE_AGAIN) from None
         for number, item in enumerate(loader.wpoints):
             numbers = [item.param1, item.param2, item.param3, item.param4, item.x, item.y, item.z]
-            if any(map(math.isinf, numbers)):
-                rule = "it is made of finite numbers"
-                raise InputError(f"item {number}", numbers, rule, _SAVE_AGAIN)
             given = [None if math.isnan(each) else each for each in numbers]
             table = {"command": item.command, "frame": item.frame, "params": given}
-            found.append((f"item {number}", Item.model_validate(table)))
+            found.append((f"item {number}", validated(Item, table, f"item {number}")))
     return found
 
 
-def _is_of_zones(item: Item) -> bool:
-    """Whether it is of a fence or a rally point, and not of a mission."""
-    return fence.RETURN_POINT <= (item.command or 0) <= _RALLY
-
-
-def _without_zones(items: deque[Labelled], plan: Plan) -> Iterator[Labelled]:
-    """Add circles, polygons, whose corners follow one another, and rally points; other items."""
-    while items:
-        label, item = items.popleft()
-        command, size = item.command or 0, item.params[0] or 0.0
-        number = len(plan.keep_ins) + len(plan.keep_outs) + 1
-        inside = command in (fence.POLYGON_IN, fence.CIRCLE_IN)
-        if command in (fence.POLYGON_IN, fence.POLYGON_OUT):
-            corners = [item.place]
-            while items and len(corners) < size and items[0][1].is_with(item):
-                corners.append(items.popleft()[1].place)
-            if len(corners) != size or size < 3:
-                rule = f"its polygon has {len(corners)} of {size:g} corners"
-                raise InputError(label, size, rule, _SAVE_AGAIN)
-            plan.add_zone(f"fence polygon {number}", label, inside, *corners)
-        elif command in (fence.CIRCLE_IN, fence.CIRCLE_OUT):
-            if not size > 0.0:
-                raise InputError(label, size, "a circle has a radius above 0", _SAVE_AGAIN)
-            plan.add_zone(f"fence circle {number}", label, inside, item.place, radius_m=size)
-        elif command == _RALLY:
-            plan.rally_points.append(place_deg(item.place, label))
-        elif command != fence.RETURN_POINT:
-            yield label, item
+def _take_zones(items: Iterable[Labelled], zones: Zones) -> list[RawTable]:
+    """Add circles and polygons, whose corners follow one another; the rally points."""
+    rally_points = list[RawTable]()
+    for (command, size), group in groupby(items, lambda each: (each[1].command, each[1].size)):
+        members, step = list(group), 1
+        if command in _POLYGONS:
+            if short := len(members) if size < 3 or size % 1 else len(members) % size:
+                rule = f"its polygon has {short:g} of {size:g} corners"
+                raise InputError(members[0][0], size, rule, _SAVE_AGAIN)
+            step = int(size)
+        for first in range(0, len(members), step):
+            (label, item), number = members[first], len(zones.keep_ins + zones.keep_outs) + 1
+            if command in _POLYGONS:
+                corners = [each.place for _, each in members[first : first + step]]
+                inside = command == fence.POLYGON_IN
+                zones.add(f"fence polygon {number}", label, inside, *corners)
+            elif command in _CIRCLES:
+                if not size > 0.0:
+                    raise InputError(label, size, "a circle has a radius above 0", _SAVE_AGAIN)
+                inside = command == fence.CIRCLE_IN
+                zones.add(f"fence circle {number}", label, inside, item.place, radius_m=size)
+            elif command == _RALLY:
+                rally_points.append(place_deg(item.place, label))
+    return rally_points
 
 
 # --- what a mission lacks that is a plan alone: assumed, and each assumption is said
@@ -428,20 +405,37 @@ _MIN_LOITER_M: Final = 100.0  # both autopilots ask for 80, ArduPlane flies 17 m
 _SEARCH_ERRORS: Final = 1.1  # of the vehicle's errors: kept besides d_s (`Task.band_amsl_m`)
 _BAND_ERRORS: Final = 8.0
 _MAX_M_S: Final = 500.0
-_FARTHEST_M: Final = 1e6  # from the origin, as for any place (`sources.zones`)
+_GIVE_GROUND: Final = (
+    "Give [terrain] with highest_amsl_m or an elevation file that has the place, or an altitude "
+    "above launch or above mean sea level."
+)
 
-# of each kind of vehicle:
-_SPEED_M_S: Final = {"copter": 5.0, "plane": 15.0}  # QGroundControl's own
-_CLIMB_M_S: Final = {"copter": 1.5, "plane": 2.5}
-_SINK_M_S: Final = {"copter": 1.5, "plane": 1.8}  # PX4's copters sink no faster, its planes at 2
-_LATERAL_M_S2: Final = {"copter": 1.5, "plane": 2.0}
-"""ArduCopter keeps to a path up to this; ArduPlane is then 10 m off it."""
-_MAX_SLOPE_DEG: Final = {"copter": 30.0, "plane": 7.0}
-_MIN_RADIUS_M: Final = {"copter": 10.0, "plane": 60.0}
-_TRACKING_M: Final = {"copter": 5.0, "plane": 15.0}
-_SIGHT_M: Final = {"copter": 2000.0, "plane": 3000.0}
-_DISTANCE_M: Final = {"copter": 30.0, "plane": 50.0}
-_MIN_DISTANCE_M: Final = {"copter": 10.0, "plane": 20.0}
+
+class _Usual(NamedTuple):
+    """What is assumed of a kind of vehicle."""
+
+    speed_m_s: float  # QGroundControl's own
+    climb_m_s: float
+    sink_m_s: float  # PX4's copters sink no faster, its planes at 2
+    lateral_m_s2: float  # ArduCopter keeps to a path up to this; ArduPlane is then 10 m off it
+    max_slope_deg: float
+    min_radius_m: float
+    tracking_m: float
+    sight_m: float
+    distance_m: float
+    min_distance_m: float
+
+
+_USUAL: Final = {
+    "copter": _Usual(
+        speed_m_s=5.0, climb_m_s=1.5, sink_m_s=1.5, lateral_m_s2=1.5, max_slope_deg=30.0,
+        min_radius_m=10.0, tracking_m=5.0, sight_m=2000.0, distance_m=30.0, min_distance_m=10.0,
+    ),
+    "plane": _Usual(
+        speed_m_s=15.0, climb_m_s=2.5, sink_m_s=1.8, lateral_m_s2=2.0, max_slope_deg=7.0,
+        min_radius_m=60.0, tracking_m=15.0, sight_m=3000.0, distance_m=50.0, min_distance_m=20.0,
+    ),
+}  # fmt: skip
 
 
 def with_plan(given: RawTable, plan: Plan, name: str) -> tuple[RawTable, list[str]]:
@@ -451,38 +445,27 @@ def with_plan(given: RawTable, plan: Plan, name: str) -> tuple[RawTable, list[st
     count.  name: of the mission, if nothing is given.  Raises InputError about a waypoint that is
     too far from launch for any map, or whose altitude without a radar is not known.
     """
-    said = _at(given, "vehicle.kind")
+    said, is_blind = _at(given, "vehicle.kind"), _at(given, "vehicle.scanner") is False
     kind = said if said in ("copter", "plane") else plan.kind or "copter"
-    is_blind = _at(given, "vehicle.scanner") is False
-    ground_m = max(_number(given, "terrain.highest_amsl_m", plan.home_amsl_m), plan.home_amsl_m)
     own_targets = not _at(given, "from_vehicle.targets")
-    vehicle, notes = _vehicle(given, plan, kind)
-    errors_m = sum(
-        _number(given, f"vehicle.{key}", vehicle[key], above=0.0)
-        for key in ("tracking_error_m", "navigation_error_m")
-    )
-    if plan.unknown_altitudes and own_targets:
-        notes.append(_about_unknown_altitudes(plan, is_blind=is_blind))
-    range_m = _number(given, "planner.scan_range_m", _SIGHT_M[kind], above=0.0)
-    distance_m = _DISTANCE_M[kind]
-    if is_blind:
-        heights_m = [t["altitude_amsl_m"] for t in plan.targets if "altitude_amsl_m" in t]
-        room_m = min(heights_m, default=math.inf) - ground_m - _SEARCH_ERRORS * errors_m
-        if room_m < distance_m:
-            distance_m = max(float(math.floor(room_m + 1e-6)), _MIN_DISTANCE_M[kind])
-    distance_m = _number(given, "planner.safety_distance_m", distance_m, above=0.0)
-    band = _band(plan, errors_m, distance_m, ground_m, is_blind=is_blind)
+    if is_blind and own_targets and plan.unknown_altitudes:  # which would be flown as planned
+        where, height_m = plan.unknown_altitudes[0]
+        rule = "it is above terrain, and how high the ground is there is not known"
+        raise InputError(f"{where}: altitude", height_m, rule, _GIVE_GROUND)
+    usual, speed, source = _USUAL[kind], plan.speed_m_s.get(kind) or 0.0, "speed of the plan"
+    if not 0.0 < speed < _MAX_M_S:
+        speed, source = usual.speed_m_s, "assumed"
+    vehicle = _vehicle(kind, _number(given, "vehicle.speed_m_s", speed, above=0.0))
+    range_m = _number(given, "planner.scan_range_m", usual.sight_m, above=0.0)
+    band, distance_m = _band(given, plan, vehicle, usual, is_blind=is_blind)
+    planner = {"scan_range_m": range_m, "safety_distance_m": distance_m, "planning_time_s": 3.0}
     assumed: RawTable = {
         "schema": 1,
         "name": name,
         "origin": {"latitude_deg": plan.home_deg[0], "longitude_deg": plan.home_deg[1]},
         "altitude": band,
         "vehicle": vehicle,
-        "planner": {
-            "scan_range_m": range_m,
-            "safety_distance_m": distance_m,
-            "planning_time_s": 3.0,
-        },
+        "planner": planner,
         "end": {"action": plan.end_action},
         "keep_outs": plan.keep_outs,
         "keep_ins": plan.keep_ins,
@@ -494,44 +477,38 @@ def with_plan(given: RawTable, plan: Plan, name: str) -> tuple[RawTable, list[st
             {key: value for key, value in target.items() if key not in of_radars}
             for target in plan.targets
         ]
-    if "altitude" not in given:
-        notes.append(_about_altitude(plan, band, is_blind=is_blind))
     table = merged(assumed, given, ("keep_outs", "keep_ins", "rally_points"))
     if "area" not in given and (area := _area(table, plan, range_m)):
         table["area"] = area
-        notes.append(f"map assumed: {range_m:g} m around launch and targets")
-    if _at(given, "planner.scan_range_m") is None:
-        sight = "looking ahead" if is_blind else "a terrain radar that sees"
-        notes.append(f"assumed: {sight} {range_m:g} m (R), d_s = {distance_m:g} m")
-    return table, [*notes, *plan.notes]
+    sight = "looking ahead" if is_blind else "a terrain radar that sees"
+    notes = {
+        "vehicle.speed_m_s": f"a {kind} at {speed:g} m/s ({source})",
+        "altitude": _about_altitude(plan, band, is_blind=is_blind),
+        "area": f"map assumed: {range_m:g} m around launch and targets",
+        "planner.scan_range_m": f"assumed: {sight} {range_m:g} m (R), d_s = {distance_m:g} m",
+    }
+    return table, [*(note for path, note in notes.items() if _at(given, path) is None), *plan.notes]
 
 
-def _vehicle(given: RawTable, plan: Plan, kind: str) -> tuple[RawTable, list[str]]:
-    """What is assumed of the vehicle, but for what follows from a speed that is given."""
-    planned = plan.speed_m_s.get(kind)
-    of_plan = planned is not None and 0.0 < planned < _MAX_M_S
-    speed = planned if planned is not None and of_plan else _SPEED_M_S[kind]
-    notes = []
-    if _at(given, "vehicle.speed_m_s") is None:
-        source = f"{'hover' if kind == 'copter' else 'cruise'} speed of the plan"
-        notes.append(f"a {kind} at {speed:g} m/s ({source if of_plan else 'assumed'})")
-    speed = _number(given, "vehicle.speed_m_s", speed, above=0.0)
+def _vehicle(kind: str, speed_m_s: float) -> RawTable:
+    """What is assumed of a vehicle of this speed."""
+    usual = _USUAL[kind]
     table: RawTable = {
         "kind": kind,
-        "speed_m_s": speed,
+        "speed_m_s": speed_m_s,
         "acceleration_m_s2": 2.0,
-        "climb_rate_m_s": _CLIMB_M_S[kind],
-        "tracking_error_m": _TRACKING_M[kind],
+        "climb_rate_m_s": usual.climb_m_s,
+        "tracking_error_m": usual.tracking_m,
         "navigation_error_m": 5.0,
-        "turn_radius_m": max(_round_up(speed**2 / _LATERAL_M_S2[kind]), _MIN_RADIUS_M[kind]),
+        "turn_radius_m": max(_round_up(speed_m_s**2 / usual.lateral_m_s2), usual.min_radius_m),
     }
-    for key, rate_m_s in (("climb", _CLIMB_M_S[kind]), ("dive", _SINK_M_S[kind])):
-        slope_deg = min(math.degrees(math.atan(rate_m_s / speed)), _MAX_SLOPE_DEG[kind])
+    for key, rate_m_s in (("climb", usual.climb_m_s), ("dive", usual.sink_m_s)):
+        slope_deg = min(math.degrees(math.atan(rate_m_s / speed_m_s)), usual.max_slope_deg)
         table[f"{key}_angle_deg"] = math.floor(slope_deg * 10.0) / 10.0
     if kind == "plane":
-        tightest_m = speed**2 / (_GRAVITY_M_S2 * math.tan(_LOITER_BANK_RAD))
+        tightest_m = speed_m_s**2 / (_GRAVITY_M_S2 * math.tan(_LOITER_BANK_RAD))
         table["loiter_radius_m"] = max(_round_up(tightest_m), _MIN_LOITER_M)
-    return table, notes
+    return table
 
 
 def _round_up(value_m: float) -> float:
@@ -539,24 +516,35 @@ def _round_up(value_m: float) -> float:
 
 
 def _band(
-    plan: Plan, error_m: float, distance_m: float, ground_m: float, *, is_blind: bool
-) -> RawTable:
-    """A band around the altitudes of the waypoints, high enough above launch to begin in it.
+    given: RawTable, plan: Plan, vehicle: RawTable, usual: _Usual, *, is_blind: bool
+) -> tuple[RawTable, float]:
+    """A band around the altitudes of the waypoints, high enough above launch to begin in it; d_s.
 
-    ground_m: the highest of the ground, AMSL, if that is stated; otherwise as launch.  Without a
-    radar it begins where paths just keep d_s and the errors from that, and no higher: what is
-    flown in it are the waypoints' own altitudes.
+    Without a radar d_s is what the lowest waypoint leaves, and the band begins where paths just
+    keep d_s and the errors from the ground, and no higher: what is flown in it are the waypoints'
+    own altitudes.
     """
-    heights = plan.altitudes_amsl_m or [plan.home_amsl_m]
+    error_m = sum(
+        _number(given, f"vehicle.{key}", vehicle[key], above=0.0)
+        for key in ("tracking_error_m", "navigation_error_m")
+    )
+    ground_m = max(_number(given, "terrain.highest_amsl_m", plan.home_amsl_m), plan.home_amsl_m)
+    heights_m, inset_m = plan.altitudes_amsl_m or [plan.home_amsl_m], _SEARCH_ERRORS * error_m
+    distance_m = usual.distance_m
     if is_blind:
-        inset = _SEARCH_ERRORS * error_m
-        least = ground_m + max(distance_m * FLIGHT.margin, distance_m + inset) - inset
-        floor = math.ceil(10.0 * max(min(heights) - inset, least) + 1e-6) / 10.0
+        targets_m = [t["altitude_amsl_m"] for t in plan.targets if "altitude_amsl_m" in t]
+        room_m = min(targets_m, default=math.inf) - ground_m - inset_m
+        if room_m < distance_m:
+            distance_m = max(float(math.floor(room_m + 1e-6)), usual.min_distance_m)
+    distance_m = _number(given, "planner.safety_distance_m", distance_m, above=0.0)
+    if is_blind:
+        least_m = ground_m + max(distance_m * FLIGHT.margin, distance_m + inset_m) - inset_m
+        floor_m = math.ceil(10.0 * max(min(heights_m) - inset_m, least_m) + 1e-6) / 10.0
     else:
-        above_ground = ground_m + distance_m + 2.0 * error_m
-        floor = float(math.ceil(max(min(heights) - 2.0 * error_m, above_ground)))
-    ceiling = math.ceil(max(max(heights) + 2.0 * error_m, floor + _BAND_ERRORS * error_m))
-    return {"floor_amsl_m": floor, "ceiling_amsl_m": float(ceiling)}
+        above_ground_m = ground_m + distance_m + 2.0 * error_m
+        floor_m = float(math.ceil(max(min(heights_m) - 2.0 * error_m, above_ground_m)))
+    ceiling_m = math.ceil(max(max(heights_m) + 2.0 * error_m, floor_m + _BAND_ERRORS * error_m))
+    return {"floor_amsl_m": floor_m, "ceiling_amsl_m": float(ceiling_m)}, distance_m
 
 
 def _area(table: RawTable, plan: Plan, sight_m: float) -> RawTable | None:
@@ -570,55 +558,39 @@ def _area(table: RawTable, plan: Plan, sight_m: float) -> RawTable | None:
         targets = [TargetTable.model_validate(each) for each in table.get("targets", ())]
     except (TypeError, ValidationError):
         return None
-    named = [("launch", plan.home_deg), *((each.name, each.degrees) for each in targets)]
-    in_degrees = [(name, place) for name, place in named if place is not None]
-    own_m = [(each.north_m, each.east_m) for each in targets if each.degrees is None]
-    places_m = np.array([*(frame.to_local_m(*place) for _, place in in_degrees), *own_m], float)
+    local_m = [frame.to_local_m(*plan.home_deg), *(each.local_m(frame) for each in targets)]
+    places_m = np.array(local_m, dtype=np.float64)
     if not np.isfinite(places_m).all():
         return None
     low = np.floor(places_m.min(axis=0) - sight_m)
     high = np.ceil(places_m.max(axis=0) + sight_m)
     cells = np.prod(high - low) / max(round(sight_m / CELLS_PER_RANGE), 1) ** 2
     by_radar = _at(table, "scanner.kind") in (None, "terrain_radar")
-    if np.abs([low, high]).max() >= _FARTHEST_M or (by_radar and cells > MAX_CELLS):
-        far_m = np.hypot(*(places_m[: len(in_degrees)] - places_m[0]).T)
-        name, place = in_degrees[index := int(far_m.argmax())]
-        if index > 0:
+    if np.abs([low, high]).max() >= FARTHEST_M or (by_radar and cells > MAX_CELLS):
+        far_m = np.hypot(*(places_m[1:] - places_m[0]).T)
+        farthest = targets[index := int(far_m.argmax())] if targets else None
+        if farthest is not None and farthest.degrees is not None:
             far = f"{far_m[index] / 1000.0:,.0f} km from launch {plan.home_deg}"
             remedy = "Correct it or launch, or raise planner.scan_range_m in a mission.toml."
             rule = f"it lies {far}, too far for one map"
-            raise InputError(f"{plan.name}: {name}", list(place), rule, remedy)
+            raise InputError(f"{plan.name}: {farthest.name}", [*farthest.degrees], rule, remedy)
     (south, west), (north, east) = low.tolist(), high.tolist()
     return {"north_min_m": south, "north_max_m": north, "east_min_m": west, "east_max_m": east}
 
 
 def _about_altitude(plan: Plan, band: RawTable, *, is_blind: bool) -> str:
-    between = f"{band['floor_amsl_m']:g} to {band['ceiling_amsl_m']:g} m AMSL"
-    launch = f"launch at {plan.home_amsl_m:g} m"
-    if not plan.altitudes_amsl_m:
-        return f"altitude: anywhere from {between} (assumed; {launch})"
-    low, high = f"{min(plan.altitudes_amsl_m):g}", f"{max(plan.altitudes_amsl_m):g}"
+    band_m = f"{band['floor_amsl_m']:g} to {band['ceiling_amsl_m']:g} m AMSL"
+    launch, heights_m = f"launch at {plan.home_amsl_m:g} m", plan.altitudes_amsl_m
+    if not heights_m:
+        return f"altitude: anywhere from {band_m} (assumed; {launch})"
+    low, high = f"{min(heights_m):g}", f"{max(heights_m):g}"
     planned = low if low == high else f"{low} to {high}"
     if is_blind:
-        return f"altitude: the plan's own, {planned} m AMSL ({launch}), in a band of {between}"
+        return f"altitude: the plan's own, {planned} m AMSL ({launch}), in a band of {band_m}"
     return (
-        f"altitude: anywhere from {between} (assumed from the plan's {planned} m, {launch} AMSL); "
+        f"altitude: anywhere from {band_m} (assumed from the plan's {planned} m, {launch} AMSL); "
         "waypoints are passed at any altitude of this band"
     )
-
-
-def _about_unknown_altitudes(plan: Plan, *, is_blind: bool) -> str:
-    """A note; without a radar, where altitudes are flown as they are planned, an InputError."""
-    where, height_m = plan.unknown_altitudes[0]
-    remedy = (
-        "Give [terrain] with highest_amsl_m or an elevation file that has the place, or an "
-        "altitude above launch or above mean sea level."
-    )
-    if is_blind:
-        rule = "it is above terrain, and how high the ground is there is not known"
-        raise InputError(f"{where}: altitude", height_m, rule, remedy)
-    what = "altitude above terrain, where the ground is not known"
-    return f"left out: {len(plan.unknown_altitudes)} x {what}. {remedy}"
 
 
 def _at(table: RawTable, path: str) -> Any:

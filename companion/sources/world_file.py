@@ -9,7 +9,6 @@ from pydantic import ConfigDict, Discriminator, Field, Tag
 from companion.geodesy import LocalFrame
 from companion.planner import rules
 from companion.planner.rules import Broken
-from companion.ranges import Positive
 from companion.sources.elevation import ElevationTable
 from companion.sources.files import RawTable
 from companion.sources.tables import (
@@ -21,6 +20,9 @@ from companion.sources.tables import (
     validated,
 )
 from companion.world.terrain import Peak, PeakTerrain, Terrain
+
+_Spread = Annotated[float, Field(ge=0.01, le=1e6)]
+"""Places are divided by it and squared: less would make them infinite."""
 
 
 class World(NamedTuple):
@@ -39,8 +41,8 @@ class PeakTable(Table):
     north_m: Horizontal
     east_m: Horizontal
     height_amsl_m: Altitude
-    spread_north_m: Positive
-    spread_east_m: Positive
+    spread_north_m: _Spread
+    spread_east_m: _Spread
 
 
 class PeaksTable(Table):

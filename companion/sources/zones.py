@@ -5,19 +5,18 @@ GeoJSON is as RFC 7946 has it: longitude before latitude, WGS84.  Its shapes are
 
 import math
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-import numpy as np
 import shapely
 from pydantic import BaseModel, ConfigDict, Field
 from shapely.geometry import shape
 from shapely.geometry.base import BaseGeometry
 
 from companion.errors import InputError
-from companion.geodesy import LocalFrame, parts_within, short_way, wrap_deg
+from companion.geodesy import LocalFrame, parts_within, short_way, straight_in_degrees
 from companion.planner import rules
 from companion.planner.rules import Broken
 from companion.planner.settings import Place, Task
@@ -28,10 +27,8 @@ from companion.world.radars import Radar
 from companion.world.zones import CircleZone, PolygonZone, Zone
 
 Name = Annotated[str, Field(min_length=1, max_length=100)]
-_FARTHEST_M: Final = 1e6
+FARTHEST_M: Final = 1e6
 """From the origin: beyond, the local frame is too far from a map."""
-_STRAIGHT_M: Final = 2000.0
-"""An edge that is straight in degrees is, at 60 degrees of latitude, 0.15 m off over this."""
 
 
 class PlaceTable(Table):
@@ -60,11 +57,16 @@ class PlaceTable(Table):
             rule = "a place is given by north_m and east_m, or by latitude_deg and longitude_deg"
             yield "", self.given, rule, "Give one of these pairs."
 
-    def place(self, frame: LocalFrame, field: str) -> Place:
-        """North and east of it, however it is given.  Raises InputError about the field."""
+    def local_m(self, frame: LocalFrame) -> Place:
+        """North and east of it, however it is given."""
         if self.degrees is None:
             return self.north_m or 0.0, self.east_m or 0.0
-        if not _is_near(place := frame.to_local_m(*self.degrees)):
+        return frame.to_local_m(*self.degrees)
+
+    def place(self, frame: LocalFrame, field: str) -> Place:
+        """Likewise.  Raises InputError about the field if the local frame does not go so far."""
+        place = self.local_m(frame)
+        if self.degrees is not None and not _is_near(place):
             rule = "it lies more than 1,000 km from the origin"
             raise InputError(field, [*self.degrees], rule, "Correct it.")
         return place
@@ -118,19 +120,18 @@ def zones_of(
 ) -> tuple[tuple[Zone, ...], str]:
     """The zones that matter, and how many keep-outs were left out that lie away from the map."""
     (south, north), (west, east) = task.limits.north_m, task.limits.east_m
-    by_m, found, far = task.zone_search_clearance_m, list[Zone](), 0
+    by_m, found = task.zone_search_clearance_m, list[Zone]()
     map_ne_m = shapely.box(south - by_m, west - by_m, north + by_m, east + by_m)
-    for kind, tables in (("keep_outs", keep_outs), ("keep_ins", keep_ins)):
-        for number, table in enumerate(tables):
-            field, keep_in = f"{kind}[{number}]", kind == "keep_ins"
-            zone = _zone(table, frame, map_ne_m, field, keep_in=keep_in)
-            if zone is not None:
-                found.append(zone)
-            elif keep_in:
-                rule = "all of the map lies outside of it, more than 1,000 km from its corners"
-                raise InputError(field, table.name, rule, "Remove it, or correct it.")
-            else:
-                far += 1
+    for number, table in enumerate(keep_outs):
+        zone = _zone(table, frame, map_ne_m, f"keep_outs[{number}]", keep_in=False)
+        found += [] if zone is None else [zone]
+    far = len(keep_outs) - len(found)
+    for number, table in enumerate(keep_ins):
+        zone = _zone(table, frame, map_ne_m, field := f"keep_ins[{number}]", keep_in=True)
+        if zone is None:
+            rule = "all of the map lies outside of it, more than 1,000 km from its corners"
+            raise InputError(field, table.name, rule, "Remove it, or correct it.")
+        found.append(zone)
     note = f"{far} of {len(keep_outs)} keep-outs lie away from the map" if far else ""
     return tuple(found), note
 
@@ -142,67 +143,88 @@ def _zone(
 
     map_ne_m: with what comes near it.  Raises InputError about the field.
     """
-    if table.radius_m is not None:
-        radius_m = table.radius_m
-        if table.degrees is not None and not _is_near(place := frame.to_local_m(*table.degrees)):
-            farthest_m = float(np.hypot(*map_ne_m.exterior.xy).max())
-            if not math.hypot(*place) <= farthest_m + radius_m:  # nor what is no number
+    south, west, north, east = map_ne_m.bounds
+    if (radius_m := table.radius_m) is not None:
+        at = table.local_m(frame)
+        if table.degrees is not None and not _is_near(at):
+            farthest_m = math.hypot(max(-south, north), max(-west, east))
+            if not math.hypot(*at) <= farthest_m + radius_m:  # nor what is no number
                 return None
-            rule = "its centre lies more than 1,000 km from the origin, and it reaches the map"
-            remedy = "Draw its edge near the mission as a polygon."
-            raise InputError(field, [*table.degrees], rule, remedy)
-        north, east = table.place(frame, field)
-        box = shapely.box(north - radius_m, east - radius_m, north + radius_m, east + radius_m)
-        is_near = keep_in or box.intersects(map_ne_m)
-        circle = CircleZone(
-            name=table.name, north_m=north, east_m=east, radius_m=radius_m, keep_in=keep_in
+            raise _too_far(table, field)
+        beside_m = max(south - at[0], at[0] - north, west - at[1], at[1] - east)
+        if beside_m > radius_m and not keep_in:
+            return None
+        return CircleZone(
+            name=table.name, north_m=at[0], east_m=at[1], radius_m=radius_m, keep_in=keep_in
         )
-        return circle if is_near else None
     if table.vertices_m is not None:
         corners = drawn = tuple((north, east) for north, east in table.vertices_m)
     else:
         degrees = [(latitude, longitude) for latitude, longitude in table.vertices_deg or []]
-        corners = tuple(frame.to_local_m(*place) for place in degrees)
-        if not all(map(_is_near, corners)):
-            south, west, north, east = map_ne_m.bounds
-            ways = [each for each in (short_way(degrees), degrees) if each]  # around the Earth
+        corners, onwards = tuple(frame.to_local_m(*place) for place in degrees), short_way(degrees)
+        if onwards is None or not all(map(_is_near, corners)):
             spans = (south, north), (west, east)
-            if len(ways) == 2 and not any(parts_within(each, frame, *spans) for each in ways):
+            ways = (onwards, degrees)  # around the Earth
+            if onwards and not any(parts_within(each, frame, *spans) for each in ways if each):
                 return None
-            rule = "it may reach the map, and some of it lies more than 1,000 km from the origin"
-            raise InputError(field, table.name, rule, "Give only the part near the mission.")
-        drawn = _straight_in_degrees(degrees, frame)
-    box = shapely.MultiPoint(drawn).envelope
-    if not (keep_in or box.is_empty or box.intersects(map_ne_m)):
+            raise _too_far(table, field)
+        drawn = tuple(frame.to_local_m(*place) for place in straight_in_degrees(onwards))
+    if drawn and not keep_in and shapely.MultiPoint(drawn).envelope.disjoint(map_ne_m):
         return None
     rules.refuse(rules.of_polygon(corners, field, table.name))
     return PolygonZone(name=table.name, vertices_ne_m=drawn, keep_in=keep_in)
 
 
+def _too_far(table: ZoneTable, field: str) -> InputError:
+    rule = "it may reach the map, and more than 1,000 km from the origin, or around a pole"
+    return InputError(field, table.name, rule, "Give the part near the mission, as a polygon.")
+
+
 def _is_near(place_ne_m: Place) -> bool:
-    return math.hypot(*place_ne_m) <= _FARTHEST_M  # false for what is no number
+    return math.hypot(*place_ne_m) <= FARTHEST_M  # false for what is no number
 
 
-def _straight_in_degrees(degrees: list[Place], frame: LocalFrame) -> tuple[Place, ...]:
-    """Corners in metres, with more of them on long edges: these are straight in degrees."""
-    places = [frame.to_local_m(*place) for place in degrees]
-    found: list[Place] = []
-    for k, (latitude, longitude) in enumerate(degrees):
-        following = (k + 1) % len(degrees)
-        pieces = math.ceil(max(math.dist(places[k], places[following]) / _STRAIGHT_M, 1.0))
-        north = degrees[following][0] - latitude
-        east = wrap_deg(degrees[following][1] - longitude)
-        found.append(places[k])
-        for part in (step / pieces for step in range(1, pieces)):
-            found.append(frame.to_local_m(latitude + part * north, longitude + part * east))
-    return tuple(found)
+# --- zones as files have them
+
+
+def place_deg(place: Sequence[float | None], where: str) -> dict[str, float]:
+    """Latitude and longitude as keys of a mission file.  InputError (where) if it is no place."""
+    latitude, longitude = place[:2]
+    if latitude is None or longitude is None or abs(latitude) > 90.0 or abs(longitude) > 180.0:
+        rule = "out of range: latitude is -90 to 90, longitude -180 to 180"
+        remedy = "Swap (GeoJSON has longitude first) or correct them."
+        raise InputError(where, f"latitude {latitude}, longitude {longitude}", rule, remedy)
+    return {"latitude_deg": latitude, "longitude_deg": longitude}
+
+
+@dataclass(slots=True, kw_only=True)
+class Zones:
+    """The zones that a file holds, as tables of a mission file."""
+
+    keep_outs: list[RawTable] = field(default_factory=list)
+    keep_ins: list[RawTable] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    """What was left out or taken otherwise than it is written, for people."""
+
+    def add(
+        self, name: str, where: str, inside: bool, *corners: Any, radius_m: float | None = None
+    ) -> None:
+        """A polygon of these corners, latitude first, or a circle about one.
+
+        inside: that the vehicle stays inside of.  InputError (where) about a corner.
+        """
+        places, zone = [place_deg(corner, where) for corner in corners], RawTable(name=name)
+        if radius_m is None:
+            zone["vertices_deg"] = [[*place.values()] for place in places]
+        else:
+            zone |= {**places[0], "radius_m": radius_m}
+        (self.keep_ins if inside else self.keep_outs).append(zone)
 
 
 # --- GeoJSON
 
 _REMEDY: Final = "Give a GeoJSON FeatureCollection of polygons and points; see docs/files.md."
 _WGS84: Final = ("CRS84", "4326")
-_MAX_FEATURES: Final = 100_000
 _GEOMETRIES: Final = ("Point", "Polygon", "MultiPoint", "MultiPolygon", "GeometryCollection")
 _BROKEN: Final = (
     *(ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError),
@@ -217,20 +239,6 @@ _NO_ZONES: Final[dict[NoZone, str]] = {
     "lines": "line",
     "empty": "feature without a geometry",
 }
-
-
-@dataclass(slots=True, kw_only=True)
-class Zones:
-    """The zones that a file holds, as tables of a mission file."""
-
-    keep_outs: list[RawTable] = field(default_factory=list)
-    keep_ins: list[RawTable] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    """What was left out or taken otherwise than it is written, for people."""
-
-    def add(self, zone: RawTable, *, inside: bool) -> None:
-        """A zone; inside: that the vehicle stays inside of."""
-        (self.keep_ins if inside else self.keep_outs).append(zone)
 
 
 class _Properties(BaseModel):
@@ -256,30 +264,25 @@ def read_geojson(path: Path, where: str, leave_out: Collection[NoZone] = ()) -> 
     features = [found] if found.get("type") == "Feature" else found.get("features")
     if found.get("type") not in ("FeatureCollection", "Feature") or not isinstance(features, list):
         raise InputError(where, str(path), "it is no GeoJSON FeatureCollection", _REMEDY)
-    if len(features) > _MAX_FEATURES:
-        rule, remedy = f"it has more than {_MAX_FEATURES:,}", "Keep those near the mission."
-        raise InputError(f"{path.name}: features", len(features), rule, remedy)
     zones, no_zones = Zones(), Counter[NoZone]()
     for index, feature in enumerate(features):
         label = f"{path.name}: features[{index}]"
         if not isinstance(feature, dict) or feature.get("type") != "Feature":
             raise InputError(label, feature, 'it has no type "Feature"', "Remove or complete it.")
         no_zones.update(_take(feature, f"feature {index}", label, zones))
-    if unasked := {kind: count for kind, count in no_zones.items() if kind not in leave_out}:
-        rule = "a zone is a polygon, or a point with radius_m"
-        kinds = ", ".join(f'"{kind}"' for kind in no_zones)
+    counted = {kind: f"{n:,} x {_NO_ZONES[kind]}" for kind, n in no_zones.items()}
+    if unasked := [said for kind, said in counted.items() if kind not in leave_out]:
+        kinds = ", ".join(f'"{kind}"' for kind in counted)
         remedy = (
             "Remove or complete them, or leave them out: "
             f'threats = {{ file = "{plain(path.name, "")}", leave_out = [{kinds}] }}.'
         )
-        raise InputError(f"{path.name}: features", _counted(unasked), rule, remedy)
-    if no_zones:
-        zones.notes.append(f"{path.name}: left out, as they are no zones: {_counted(no_zones)}")
+        rule = "a zone is a polygon, or a point with radius_m"
+        raise InputError(f"{path.name}: features", ", ".join(unasked), rule, remedy)
+    if counted:
+        said = ", ".join(counted.values())
+        zones.notes.append(f"{path.name}: left out, as they are no zones: {said}")
     return zones
-
-
-def _counted(kinds: Mapping[NoZone, int]) -> str:
-    return ", ".join(f"{count:,} x {_NO_ZONES[kind]}" for kind, count in kinds.items())
 
 
 def _take(raw: RawTable, default: str, label: str, zones: Zones) -> Iterator[NoZone]:
@@ -300,23 +303,20 @@ def _take(raw: RawTable, default: str, label: str, zones: Zones) -> Iterator[NoZ
             yield "points" if isinstance(part, shapely.Point) else "lines"
     if not polygons and not points:
         return
-    said = validated(_Properties, given, f"{label}.properties")
-    is_keep_in = said.kind == "keep_in"
-    for point in points:
-        [(latitude, longitude)] = _corners(point, label)
-        place = {"latitude_deg": latitude, "longitude_deg": longitude}
-        zones.add({"name": name, **place, "radius_m": said.radius_m}, inside=is_keep_in)
-    if is_keep_in and len(polygons) > 1:
+    said, where = validated(_Properties, given, f"{label}.properties"), f"{label}.geometry"
+    inside = said.kind == "keep_in"
+    if inside and len(polygons) > 1:
         rule = "the vehicle cannot keep inside of several polygons at once"
-        raise InputError(f"{label}.geometry.type", "MultiPolygon", rule, "Keep one polygon of it.")
+        raise InputError(f"{where}.type", "MultiPolygon", rule, "Keep one polygon of it.")
+    where += ".coordinates"
+    for point in points:
+        zones.add(name, where, inside, (point.y, point.x), radius_m=said.radius_m)
     for number, polygon in enumerate(polygons, start=1):
         of_several = name if len(polygons) == 1 else f"{name} part {number}"
-        zone = {"name": of_several, "vertices_deg": _corners(polygon.exterior, label)}
-        zones.add(zone, inside=is_keep_in)
-        if is_keep_in:
+        zones.add(of_several, where, inside, *_corners(polygon.exterior))
+        if inside:
             for hole, ring in enumerate(polygon.interiors, start=1):
-                corners = _corners(ring, label)
-                zones.keep_outs.append({"name": f"{name} hole {hole}", "vertices_deg": corners})
+                zones.add(f"{name} hole {hole}", where, False, *_corners(ring))
         elif polygon.interiors:
             zones.notes.append(f"keep-out {of_several!r}: its holes are kept out of as well")
 
@@ -336,13 +336,6 @@ def _parts(raw: Any, label: str) -> Iterator[BaseGeometry | None]:
             yield geometry
 
 
-def _corners(outline: BaseGeometry, label: str) -> list[list[float]]:
-    """Latitude and longitude of each corner, of a ring's first, which it says twice, once."""
-    corners = []
-    for longitude, latitude in shapely.get_coordinates(outline).tolist():
-        if not (abs(longitude) <= 180.0 and abs(latitude) <= 90.0):
-            rule = "out of range: longitude comes first, -180 to 180, then latitude, -90 to 90"
-            place = f"{label}.geometry.coordinates"
-            raise InputError(place, [longitude, latitude], rule, "Swap or correct them.")
-        corners.append([latitude, longitude])
-    return corners[:-1] if isinstance(outline, shapely.LinearRing) else corners
+def _corners(ring: shapely.LinearRing) -> Iterable[tuple[float, float]]:
+    """Latitude and longitude of each, of the first, which it says twice, once."""
+    return [(latitude, longitude) for longitude, latitude, *_ in ring.coords[:-1]]

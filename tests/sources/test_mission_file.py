@@ -223,7 +223,7 @@ def test_an_edge_in_degrees_is_straight_in_degrees(folder: Path) -> None:
     (found,) = load(folder, zone(f"vertices_deg = {corners}")).task.zones
     along = np.linspace(7.0, 9.0, 501)
     places = np.array([FRAME.to_local_m(46.99, longitude) for longitude in along])
-    assert abs(found.distance_m(places[:, 0], places[:, 1])).max() < 0.5
+    assert abs(found.distance_m(places[:, 0], places[:, 1])).max() < 0.16
     straight = np.linspace(places[0], places[-1], 501)
     assert abs(found.distance_m(straight[:, 0], straight[:, 1])).max() > 400.0
 
@@ -247,6 +247,17 @@ def test_keep_outs_away_from_the_map_are_left_out_and_counted(folder: Path) -> N
     mission = load(folder, COPTER + "".join(f"[[keep_outs]]\n{zone}\n" for zone in zones))
     assert [found.name for found in mission.task.zones] == ["near", "circle"]
     assert mission.notes == ("6 of 8 keep-outs lie away from the map",)
+
+
+def test_keep_outs_beside_the_map_count_as_far_as_paths_keep_from_them(folder: Path) -> None:
+    task, square = load(folder, COPTER).task, np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
+    for more_m, count in ((-1.0, 8), (1.0, 0)):
+        off_m = task.zone_search_clearance_m + 10.0 + more_m
+        sides = [6e3 + off_m, -4e3 - off_m]
+        places = [*((north, 0.0) for north in sides), *((0.0, east) for east in sides)]
+        zones = [ZoneTable(name="", north_m=n, east_m=e, radius_m=10.0) for n, e in places]
+        zones += [ZoneTable(name="", vertices_m=(10.0 * square + each).tolist()) for each in places]
+        assert len(zones_of(zones, [], task, FRAME)[0]) == count
 
 
 def star(random: np.random.Generator) -> FloatArray:
@@ -388,31 +399,43 @@ SHAPE = "a circle or a polygon"
 NONE = [
     ("vertices_deg = [[8.0, 147.0], [47.0, 8.0], [47.0, 8.1]]", "more than 1,000 km"),
     ("vertices_deg = [[108.0, 47.0], [47.0, 8.0], [47.0, 8.1]]", "latitude comes first"),
-    ("vertices_deg = [[47.0, 8.0], [47.0, 8.1]]", "three or more"),
     ("vertices_m = [[0.0, 0.0], [9.0, 9.0], [9.0, 0.0], [0.0, 9.0]]", "cross"),
+    ("vertices_m = []", "three or more"),
     ("north_m = 1.0\neast_m = 1.0", SHAPE),
     ("radius_m = 1.0", SHAPE),
     (f"radius_m = 3.0\nvertices_m = {TRIANGLE}", SHAPE),
     (f"vertices_deg = {TRIANGLE}\nvertices_m = []", SHAPE),
+    (
+        "vertices_deg = [[36.0, -180.0], [36.0, 180.0], [58.0, 180.0], [58.0, -180.0]]",
+        "may reach the map",
+    ),
+    ("vertices_deg = [[35.0, 0.0], [36.0, 120.0], [35.0, -120.0]]", "around a pole"),
+    (
+        "vertices_deg = [[60.0, -20.0], [60.0, 40.0], [47.0, 40.0], [47.0, 8.01]]",
+        "may reach the map",
+    ),
+    ("latitude_deg = 56.01\nlongitude_deg = 8.0\nradius_m = 1000e3", "as a polygon"),  # it reaches
 ]
-FAR = [
-    [[36.0, -180.0], [36.0, 180.0], [58.0, 180.0], [58.0, -180.0]],
-    [[35.0, 0.0], [36.0, 120.0], [35.0, -120.0]],  # about the pole
-    [[60.0, -20.0], [60.0, 40.0], [47.0, 40.0], [47.0, 8.01]],
-]
-FAR_CIRCLE = "latitude_deg = 56.01\nlongitude_deg = 8.0\nradius_m = 1000e3"  # it reaches the map
 ARDUPLANE = vehicle('autopilot = "ardupilot"', PLANE)
 BLIND = vehicle("scanner = false", KNOWN)
 GUIDES = 'trust = "guidance"\n'
-NAME = "name = 'Über den Wald': it must be up to 64 of A-Z, a-z, 0-9, space"
 REFUSED: list[tuple[str, str]] = [
-    (COPTER.replace('name = "test"', 'name = "Über den Wald"'), NAME),
+    (
+        COPTER.replace('name = "test"', 'name = "Über den Wald"'),
+        "name = 'Über den Wald': .*64 of A-Z",
+    ),
+    (COPTER.replace('name = "test"', 'name = "a/b"'), "name = 'a/b'"),
     *(
         (f'{COPTER}[link]\ncommanders = ["{who}"]\n', r"link\.commanders\[0\]")
         for who in ("0/0", "255/256", "255", "a/b")
     ),
-    (COPTER + THEIRS, "the targets come from the vehicle"),
-    (NO_TARGETS, "targets = None: it is missing"),
+    (COPTER + THEIRS, "targets = 1: there are either"),
+    (NO_TARGETS, "targets = None: there are either"),
+    (COPTER.replace("floor_amsl_m =", "floor_agl_m ="), "Did you mean floor_amsl_m.*Known here: "),
+    (COPTER.replace('"hold"', '"loiter"'), "end.action = 'loiter'.*'hold', 'land' or 'return'"),
+    (COPTER.replace("climb_angle_deg = 17.0", "climb_angle_deg = 90.0"), "angle_deg.*less than 90"),
+    (COPTER.replace("speed_m_s = 8.0", "speed_m_s = true"), "speed_m_s = True.*valid number"),
+    (vehicle("navigation_error_m = -0.1"), "vehicle.navigation_error_m = -0.1: .*equal to 0"),
     # what a kind of vehicle cannot do
     (PLANE.replace("loiter_radius_m = 80.0", ""), "loiter_radius_m .*missing.*circles"),
     (vehicle("loiter_radius_m = 80.0"), "loiter_radius_m = 80.0.*a copter stops"),
@@ -422,120 +445,58 @@ REFUSED: list[tuple[str, str]] = [
         "end.action = 'land'.*ArduPlane cannot be told to land",
     ),
     (f'{ARDUPLANE}[fallback]\naction = "land"', "fallback.action = 'land'.*ArduPlane"),
-    (PLANE.replace("speed_m_s = 18.0", "speed_m_s = 30.0"), "degrees of bank"),
-    (PLANE.replace("loiter_radius_m = 80.0", "loiter_radius_m = 800.0"), "scan range"),
     # places
     (place("north_m = 1.0"), r"targets\[0\] = \['north_m'\]: a place is given by"),
-    (place(""), r"targets\[0\] = \[\]: a place is given by"),
     (place("north_m = 1.0\nlatitude_deg = 47.0"), "Give one of these pairs"),
-    (place("latitude_deg = 91.0\nlongitude_deg = 8.0"), "less than or equal to 90"),
     (place("latitude_deg = -47.0\nlongitude_deg = -172.0"), "1,000 km from the origin"),
     (place("latitude_deg = 47.1\nlongitude_deg = 8.0"), "outside the map"),
-    # zones
     *((zone(text), rf"keep_outs\[0\].*{words}") for text, words in NONE),
     (zone(NONE[0][0], "keep_ins"), r"keep_ins\[0\].*more than 1,000 km"),
-    *((zone(f"vertices_deg = {corners}"), "some of it lies more than") for corners in FAR),
-    (zone(FAR_CIRCLE), "Draw its edge near the mission as a polygon"),
+    (zone(f"vertices_deg = {TRIANGLE}", "keep_ins"), r"keep_ins\[0\].*all of the map lies outside"),
     (
         place("north_m = 5500.0\neast_m = 0.0") + f'[[keep_ins]]\nname = "zone"\n{AROUND}\n',
         r"targets\[0\] = \[5500.0, 0.0\]: it lies outside keep-in 'zone'",
     ),
     ('threats = "absent.geojson"\n' + COPTER, "mission.toml: threats = .*no such file"),
     # a radar, or none
-    (vehicle("scanner = false"), "vehicle.scanner = False: .*nothing is known of the ground"),
+    (vehicle("scanner = false"), "terrain = None: .*nothing is known of the ground"),
     (vehicle("scanner_component_id = 100", BLIND), "there is no terrain radar"),
-    (f"{BLIND}[scanner]\ncomplete = false\n", "there is no terrain radar"),
-    (f"{COPTER}[scanner]\ncomplete = 0\n", "scanner.complete.*valid boolean"),
+    (f"{BLIND}[scanner]\ncomplete = false\n", r"vehicle.scanner = False: \[scanner\] says"),
+    (BLIND + GUIDES, "terrain.trust = 'guidance'.*guidance proves nothing"),
     # terrain
-    (BLIND + GUIDES, "guidance proves nothing"),
     (STATED + GUIDES, "mission.toml: terrain.trust = 'guidance'"),
-    (KNOWN + 'trust = "hope"\n', "terrain.trust"),
     ("terrain = 7\n" + COPTER, "terrain = 7: it must be a table"),
-    (
-        KNOWN.replace("longitude_deg = 8.0", "longitude_deg = 18.0"),
-        "terrain.file.*no height anywhere on the map",
-    ),
+    (KNOWN.replace("longitude_deg = 8.0", "longitude_deg = 18.0"), "no height anywhere on the map"),
     (KNOWN.replace("dem.tif", "absent.tif"), "no such file"),
     (KNOWN.replace('vertical_datum = "EGM96"\n', ""), "vertical_datum = None: it is missing"),
     (KNOWN.replace("EGM96", "WGS84"), "vertical_datum = 'WGS84'"),
     (KNOWN + "datum_error_m = -1.0\n", "greater than or equal to 0"),
-    (KNOWN + "datum_m = 1.0\n", "Did you mean datum_error_m?"),
-    # a statement about the ground stands alone
-    (STATED + 'file = "dem.tif"\n', r"terrain\.file = .*: no such key"),
-    (STATED + "datum_error_m = 5.0\n", "terrain.datum_error_m = 5.0"),
+    (STATED + 'file = "dem.tif"\n', r"terrain\.file = .*: no such key"),  # it stands alone
     (STATED.replace("840.0", "inf"), "terrain.highest_amsl_m = inf"),
     (COPTER + "[terrain]\n", "terrain.file = None: it is missing. Add file"),
     (STATED.replace("highest_amsl_m", "highest_m"), r"Did you mean highest_amsl_m\?"),
     # a sensor of near things
     (scanner('kind = "radar"'), "scanner.kind.*terrain_radar"),
-    (scanner("component = 196"), "scanner.component = 196.*it is of the other kinds"),
-    (scanner(OBSTACLE + "complete = true"), "scanner.complete = True.*it is a radar's"),
+    (scanner("yaw_deg = 90.0"), "scanner.yaw_deg = 90.0: it is of kind obstacle_distance or"),
+    (scanner(OBSTACLE + "complete = true"), "scanner.complete = True.*it is of kind terrain_radar"),
     (
         scanner(OBSTACLE, (KIND, f"{KIND}\nscanner_component_id = 100")),
-        "vehicle.scanner_component_id = 100.*Write scanner.component.",
+        "vehicle.scanner_component_id = 100.*write scanner.component.",
     ),
     (
         scanner(OBSTACLE, (KIND, 'kind = "plane"\nloiter_radius_m = 30.0')),
         "scanner.kind = 'obstacle_distance'.*can stop",
     ),
     (scanner('kind = "obstacle_distance"'), "scanner.speaks_for_m.*band is 4 m high"),
-    (scanner(OBSTACLE, (FLAT, "")), "terrain.*does not see the ground"),
-    *(
-        (scanner(each, (KIND, f"{KIND}\nscanner = false")), "scanner = .*Remove one of them.")
-        for each in (OBSTACLE, OBSTACLE.replace("obstacle_distance", "distance_sensor"))
-    ),
+    (scanner(OBSTACLE, (FLAT, "")), "terrain = None.*nothing is known of the ground"),
+    (scanner(OBSTACLE, (FLAT, FILE)), "terrain.trust = 'guidance'.*without a terrain radar"),
+    (scanner(OBSTACLE, (KIND, f"{KIND}\nscanner = false")), "vehicle.scanner = False.*Remove one"),
     (scanner(OBSTACLE + "component = 195"), "scanner.component = 195.*the companion itself"),
     (scanner(OBSTACLE + "bearing_error_deg = 46.0"), "bearing_error_deg = 46.0.*less than"),
-    (scanner(OBSTACLE + "latency_s = -0.1"), "scanner.latency_s = -0.1.*greater than"),
     (scanner(OBSTACLE + "range_error_m = nan"), "scanner.range_error_m = nan.*finite"),
-    (scanner(OBSTACLE, (FLAT, FILE)), "terrain.trust = 'guidance'.*a sensor of near things does"),
     (
         COPTER.replace("planner = {", 'planner = { optimiser = "magic",'),
         "planner.optimiser = 'magic'" + "".join(f"(?=.*{name})" for name in OPTIMISERS),
-    ),
-    *(
-        (
-            COPTER.replace(f"{key} =", f"{name} =", 1),
-            rf"{name} = .*Did you mean {key}\?.*Known here: ",
-        )
-        for key, name in (
-            ("speed_m_s", "speed"),
-            ("scan_range_m", "scan_range_km"),
-            ("turn_radius_m", "turning_radius_m"),
-            ("action", "acton"),
-            ("floor_amsl_m", "floor_agl_m"),
-        )
-    ),
-    # values of another kind
-    *(
-        (
-            re.sub(rf"\b{key} = [^\n,}}]+", f"{key} = {value}", COPTER, count=1),
-            f"{key} = .*(?i:{value}).*{rule}",
-        )
-        for key, value, rule in (
-            ("speed_m_s", "'fast'", "valid number"),
-            ("speed_m_s", "0.0", "greater than 0"),
-            ("speed_m_s", "true", "valid number"),
-            ("climb_angle_deg", "90.0", "less than 90"),
-            ("latitude_deg", "86.0", "less than or equal to 85"),
-            ("schema", "2", "must be 1"),
-            ("kind", "'boat'", "'copter' or 'plane'"),
-            ("name", "7", "valid string"),
-            ("action", "'loiter'", "'hold', 'land' or 'return'"),
-            ("floor_amsl_m", "-501.0", "greater than or equal to -500"),
-        )
-    ),
-    (vehicle('autopilot = "betaflight"'), "vehicle.autopilot.*'ardupilot' or 'px4'"),
-    *(
-        (vehicle(f"{key} = -0.1"), f"vehicle.{key} = -0.1: .*greater than or equal to 0")
-        for key in ("navigation_error_m", "dead_man_s")
-    ),
-    *(
-        (
-            COPTER.replace("planner = {", f"planner = {{ weights.radar = {value},"),
-            f"planner.weights.radar = {value}",
-        )
-        for value in ("nan", "inf", "-inf")
     ),
     ((ENVIRONMENTS / "environment-1" / "world.toml").read_text(), "this is a world, not a mission"),
 ]
@@ -571,7 +532,7 @@ def test_a_key_that_is_left_out_misspelt_or_no_number_is_named(folder: Path, num
 
     key, was, told = with_key(None)
     assert key in told
-    assert "it is missing" in told or "a place is given by" in told
+    assert re.search("it is missing|a place is given by|there are either", told)
     _, _, told = with_key("{}_x")
     assert f"{key}_x = " in told
     assert f"Did you mean {key}?" in told
@@ -588,14 +549,13 @@ def test_what_is_no_mission_or_world_is_told(folder: Path) -> None:
         with pytest.raises(InputError, match=words):
             load_mission(name)
     path, world = folder / "world.toml", ENVIRONMENTS / "environment-1" / "world.toml"
-    for text, words in (
+    text = world.read_text(encoding="utf-8")
+    for bad, words in (
         (COPTER, "this is a mission, not a world. Give its world.toml"),
-        (
-            world.read_text(encoding="utf-8").replace("height_amsl_m", "height_m", 1),
-            r"terrain\.peaks\[0\]\.height_m = .*height_amsl_m",
-        ),
+        (text.replace("height_amsl_m", "height_m", 1), r"peaks\[0\]\.height_m = .*height_amsl_m"),
+        (re.sub(r"(spread_north_m) = [\d.]+", r"\1 = 1e-300", text, count=1), r"north_m = 1e-300"),
     ):
-        path.write_text(text, encoding="utf-8")
+        path.write_text(bad, encoding="utf-8")
         with pytest.raises(InputError, match=words):
             load_world(str(path))
 
@@ -658,14 +618,3 @@ def test_the_page_of_files_has_every_key_and_the_default_that_it_is_declared_wit
         if default is not None:
             shown = f"{default:g}" if isinstance(default, float) else str(default)
             assert said.get(key, "") == (shown.lower() if default in (True, False) else shown), key
-
-
-@given(
-    st.binary(max_size=60) | st.text(max_size=60).map(lambda text: text.encode("utf-8", "replace"))
-)
-@pytest.mark.parametrize("name", ["mission.toml", "x.plan"])
-def test_any_bytes_are_an_input_error(folder: Path, name: str, content: bytes) -> None:
-    (folder / name).write_bytes(content)
-    with pytest.raises(InputError) as caught:
-        load_mission(str(folder / name))
-    assert len(str(caught.value).splitlines()) == 1

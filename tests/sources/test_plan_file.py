@@ -5,17 +5,21 @@ import copy
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyproj
 import pytest
+from geotiff import write_elevation
 from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink import mavwp
 from pymavlink.dialects.v20 import all as mavlink
 from spoiled import JUNK, refusal, replace_somewhere
 
+import companion
 from companion.config import load_mission, mission_text
 from companion.errors import InputError
 from companion.mission.mission import EndAction, Mission
@@ -46,7 +50,9 @@ def item(command: int, *params: float | None, frame: int = 3, **more: Any) -> di
     return {"type": "SimpleItem", "command": command, "frame": frame, "params": params, **more}
 
 
-def waypoint(north: float = 0.01, altitude: float = 50.0, frame: int = 3, **more: Any) -> Any:
+def waypoint(
+    north: float = 0.01, altitude: float | None = 50.0, frame: int = 3, **more: Any
+) -> Any:
     return item(16, 0, 0, 0, None, 47.4 + north, 8.55, altitude, frame=frame, **more)
 
 
@@ -168,7 +174,7 @@ ASSUMED = "What a plan lacks is assumed"
     ("place", "mission", "words"),
     [
         ((50.4, 11.5), {}, r"^x\.plan: items\[1\] = \[50.4, .* it lies 39\d\.?\d* km from launch"),
-        ((-47.4, -171.45), {}, r"^x\.plan: items\[1\] = \[-47.4, .* km from launch"),
+        ((-47.4, -171.45), {}, r"^x\.plan: items\[1\] = \[-47.4, .* 20,00\d km from launch"),
         ((47.41, 8.55), {"hoverSpeed": 90, "vehicleType": 2}, ASSUMED),
         ((86.01, 8.55), {"plannedHomePosition": [86.0, 8.55, 400]}, ASSUMED),
         ((47.41, 8.55), {"plannedHomePosition": [47.4, 8.55, 60_000]}, ASSUMED),
@@ -182,13 +188,6 @@ def test_what_a_mission_cannot_be_of_is_told_in_the_words_of_the_plan(
     path.write_text(json.dumps(plan(*items, **mission)), encoding="utf-8")
     told = refusal(lambda path, _: load_mission(str(path)), path, None)
     assert re.search(words, told), told
-    if far := re.search(r"it lies ([\d.,]+) km from launch", told):
-        true_km = GEOD.inv(8.55, 47.4, place[1], place[0])[2] / 1000.0
-        assert float(far[1].replace(",", "")) == pytest.approx(true_km, rel=0.01)
-    own = path.with_name("own.toml")
-    own.write_text('plan = "x.plan"\n[altitude]\nfloor_amsl_m = 900.0\nceiling_amsl_m = 1.0\n')
-    told = refusal(lambda path, _: load_mission(str(path)), own, None)
-    assert "altitude.ceiling_amsl_m" not in told or "assumed" not in told
 
 
 @pytest.mark.parametrize("name", PLANS)
@@ -215,6 +214,29 @@ def test_a_plan_alone_is_a_mission_that_says_what_it_assumed(name: str, tmp_path
         if each != "notes"
     )
     assert mission_text(str(alone)) == text
+
+
+@pytest.mark.parametrize(
+    ("vehicle_type", "turns_m", "angles_deg", "others"),
+    [
+        (2, (20.0, 0.0), (16.6, 16.6), (5.0, 1.5, 5.0, 2000.0, 30.0)),
+        (1, (115.0, 100.0), (7.0, 6.8), (15.0, 2.5, 15.0, 3000.0, 50.0)),
+    ],
+)
+def test_what_a_plan_lacks_is_assumed_as_the_page_of_files_says(
+    path: Path, vehicle_type: int, turns_m: Any, angles_deg: Any, others: Any
+) -> None:
+    content = plan(waypoint(), vehicleType=vehicle_type, hoverSpeed=None, cruiseSpeed=None)
+    path.write_text(json.dumps(content), encoding="utf-8")
+    task = load_mission(str(path)).task
+    limits, settings = task.limits, task.settings
+    assert (limits.turn_radius_m, limits.loiter_radius_m) == turns_m
+    angles = limits.climb_angle_rad, limits.dive_angle_rad
+    assert tuple(map(math.degrees, angles)) == pytest.approx(angles_deg)
+    assert others == (
+        *(limits.speed_m_s, limits.climb_rate_m_s, limits.tracking_error_m),
+        *(settings.scan_range_m, settings.safety_distance_m),
+    )
 
 
 OWN = """
@@ -315,8 +337,8 @@ def to(north: float, altitude_m: float = 50.0, frame: int = 3) -> Row:
     return (frame, WAYPOINT, (0, 0, 0, 0), 47.4 + north, 8.55, altitude_m)
 
 
-@pytest.mark.parametrize("command", [WAYPOINT, TAKE_OFF, 179, 0, RETURN, 177])
-def test_a_list_is_qgroundcontrols_plan(txt: Path, tmp_path: Path, command: int) -> None:
+@pytest.mark.parametrize("command", [WAYPOINT, 0, RETURN, 177])
+def test_a_list_is_qgroundcontrols_plan(txt: Path, path: Path, command: int) -> None:
     """Line 0 is launch whatever its command, as ArduPilot takes it."""
     rows = [
         (3, TAKE_OFF, (0, 0, 0, 0), 47.4, 8.55, 30.0),
@@ -326,16 +348,8 @@ def test_a_list_is_qgroundcontrols_plan(txt: Path, tmp_path: Path, command: int)
         (2, RETURN, (0, 0, 0, 0), 0.0, 0.0, 0.0),
     ]
     found = read_waypoint_list(saved(txt, (0, command, *FIRST[2:]), *rows), "MISSION")
-    items = [
-        {"type": "SimpleItem", "command": c, "frame": f, "params": [*p, lat, lon, alt]}
-        for f, c, p, lat, lon, alt in rows
-    ]
-    mission = {"items": items, "plannedHomePosition": [47.4, 8.55, 400.0], "version": 2}
-    same = tmp_path / "same.plan"
-    same.write_text(json.dumps({"fileType": "Plan", "version": 1, "mission": mission}))
-    expected = read_plan(same, "MISSION")
-    names = [target.pop("name") for target in found.targets]
-    assert names == ["item 2", "item 3"]
+    expected = read(path, plan(*(item(c, *p, *place, frame=f) for f, c, p, *place in rows)))
+    assert [target.pop("name") for target in found.targets] == ["item 2", "item 3"]
     for target in expected.targets:
         target.pop("name")
     for what in ["targets", "altitudes_amsl_m", "home_deg", "home_amsl_m", "end_action", "notes"]:
@@ -353,7 +367,7 @@ NO_LISTS = [
     ("QGC WPL 120\n", "only QGC WPL 110 is known"),
     (f"{LIST}0 1 0\n", "line 2 = '0 1 0': invalid waypoint line with 3 values"),
     (f"{LIST}\n0 1 0 16 0 0 0 0 x 8 9 1\n", "line 3 = '0 1 0 16 0 0 0 0 x 8 9 1'"),
-    (f"{LIST}0 1 0 16 0 inf 0 0 47 8 9 1\n", "finite numbers"),
+    (f"{LIST}0 1 0 16 0 inf 0 0 47 8 9 1\n", "item 0: params[1] = inf: it must be a finite number"),
     (f"{LIST}0 1 0 16 0 0 0 0 nan 8 9 1\n", "launch has no latitude and longitude"),
     (f"{LIST}0 1 0 16 0 0 0 0 47 8 nan 1\n", "the altitude of launch is missing"),
     (f"{LIST}0 1 0 16.5 0 0 0 0 47 8 9 1\n", "invalid literal for int()"),
@@ -400,23 +414,31 @@ def test_how_a_list_is_written_does_not_matter(txt: Path, spelled: str) -> None:
     assert of_text(txt, f"\ufeff{dressed}") == of_text(txt, text)
 
 
-def test_fences_and_rally_points_of_a_list_are_zones(txt: Path) -> None:
+def test_fences_and_rally_points_of_a_list_are_zones_whatever_else_is_in_it(txt: Path) -> None:
+    """As threats it is no mission: what cannot be flown of it does not matter."""
     square = [(47.4, 8.5), (47.4, 8.6), (47.5, 8.6), (47.5, 8.5)]
-    rows: list[Row] = [(0, 5000, (0, 0, 0, 0), 47.4, 8.55, 0.0)]
+    rows: list[Row] = [FIRST, (0, 5000, (0, 0, 0, 0), 47.4, 8.55, 0.0), to(0.01)]
     rows += [(0, 5001, (4, 0, 0, 0), lat, lon, 0.0) for lat, lon in square]
-    rows += [(0, 5002, (3, 0, 0, 0), lat, lon, 0.0) for lat, lon in square[:3]]
+    rows += [(0, 5002, (3, 0, 0, 0), lat, lon, 0.0) for lat, lon in square[:3] + square[1:]]
     rows += [(0, 5003, (9000.0, 0, 0, 0), 47.45, 8.55, 0.0)]
     rows += [(0, 5004, (120.0, 0, 0, 0), 47.41, 8.56, 0.0)]
     rows += [(3, 5100, (0, 0, 0, 0), 47.42, 8.57, 40.0)]
-    found = read_waypoint_fence(saved(txt, *rows), "threats")
+    plan = read_waypoint_list(saved(txt, *rows), "plan")
+    assert plan.rally_points == [{"latitude_deg": 47.42, "longitude_deg": 8.57}]
+    assert len(plan.targets) == 1
+    jump: Row = (2, 177, (1, 2, 0, 0), 0.0, 0.0, 0.0)
+    found = read_waypoint_fence(saved(txt, *rows, jump, to(0.02, frame=7)), "threats")
+    assert (found.keep_ins, found.keep_outs) == (plan.keep_ins, plan.keep_outs)
+    assert found.notes == ["survey.txt: 3 items of its mission are not flown"]
     assert found.keep_ins[0]["vertices_deg"] == [list(corner) for corner in square]
-    assert found.keep_outs[0]["vertices_deg"] == [list(corner) for corner in square[:3]]
+    assert [zone.get("vertices_deg") for zone in found.keep_outs] == [
+        [list(corner) for corner in square[:3]],
+        [list(corner) for corner in square[1:]],
+        None,
+    ]
     assert found.keep_ins[1]["radius_m"] == 9000.0
-    circle = found.keep_outs[1]
-    assert (circle["latitude_deg"], circle["longitude_deg"]) == (47.41, 8.56)
-    assert circle["radius_m"] == 120.0
-    assert found.rally_points == [{"latitude_deg": 47.42, "longitude_deg": 8.57}]
-    assert not found.targets
+    circle = {"name": "fence circle 5", "latitude_deg": 47.41, "longitude_deg": 8.56}
+    assert found.keep_outs[2] == circle | {"radius_m": 120.0}
 
 
 def test_a_mission_keeps_out_of_what_its_fence_list_says(txt: Path) -> None:
@@ -427,3 +449,144 @@ def test_a_mission_keeps_out_of_what_its_fence_list_says(txt: Path) -> None:
     flown = txt.with_name("mission.toml")
     flown.write_text(f'threats = "{txt.name}"\n{text}', encoding="utf-8")
     assert len(load_mission(str(flown)).task.zones) == len(mission.task.zones) + 1
+
+
+# --- without a terrain radar: flown at the plan's altitudes where they are safe, else it is said
+
+LAUNCH_M = 400.0
+KEPT_M = 1.1 * 10.0  # of the errors of the copter that is assumed: tracking and navigation
+BLIND = "[vehicle]\nscanner = false\n"
+VALLEY = Path(companion.__file__).parent / "environments" / "valley"
+VALLEY_TEXT = (VALLEY / "mission.toml").read_text(encoding="utf-8")
+
+
+def blind(
+    folder: Path, *above_launch_m: float | None, ground_m: float = LAUNCH_M, more: str = ""
+) -> Mission:
+    """To waypoints 300 m apart, over ground that is stated."""
+    items = [waypoint(0.0027 * k, height_m) for k, height_m in enumerate(above_launch_m, 1)]
+    return naming(folder, plan(*items), f"{BLIND}[terrain]\nhighest_amsl_m = {ground_m}\n{more}")
+
+
+def lowest_m(mission: Mission, target: int) -> float:
+    """The lowest that a path to a target may lie, and so where it does."""
+    return mission.task_to(target, mission.task).band_amsl_m[0]
+
+
+def test_each_waypoint_is_flown_to_at_its_own_altitude(tmp_path: Path) -> None:
+    """One without has that of the one before, which is said; the climb ends at the lowest."""
+    mission = blind(tmp_path, 40.0, 60.0, None, 45.0)
+    for target, height_m in enumerate((40.0, 60.0, 60.0, 45.0)):
+        assert lowest_m(mission, target) == pytest.approx(LAUNCH_M + height_m, abs=0.2)
+    assert mission.task.take_off_amsl_m == pytest.approx(LAUNCH_M + 40.0, abs=0.2)
+    assert not any("flown at" in note for note in mission.notes)
+    assert any("1 x waypoint without an altitude" in note for note in mission.notes)
+
+
+@pytest.mark.parametrize(
+    ("above_m", "ground_m", "distance_m"),
+    [(40.0, 0.0, 29.0), (90.0, 0.0, 30.0), (40.0, 15.0, 14.0)],
+)
+def test_the_distance_that_is_assumed_is_what_the_plan_leaves(
+    tmp_path: Path, above_m: float, ground_m: float, distance_m: float
+) -> None:
+    mission = blind(tmp_path, above_m, ground_m=LAUNCH_M + ground_m)
+    assert mission.task.settings.safety_distance_m == distance_m
+    assert any(f"d_s = {distance_m:g} m" in note for note in mission.notes)
+
+
+@pytest.mark.parametrize(
+    ("planned_m", "kept_m", "more", "said"),
+    [
+        (12.0, 10.0, "", "items[0] is planned at 412 m AMSL and flown at 421 m"),
+        (40.0, 50.0, "[planner]\nsafety_distance_m = 50.0\n", "flown at 461 m"),
+    ],
+)
+def test_a_waypoint_that_is_too_low_is_flown_higher_and_that_is_said(
+    tmp_path: Path, planned_m: float, kept_m: float, more: str, said: str
+) -> None:
+    mission = blind(tmp_path, planned_m, 80.0, more=more)
+    assert lowest_m(mission, 0) == pytest.approx(LAUNCH_M + kept_m + KEPT_M, abs=0.2)
+    [note] = [note for note in mission.notes if "flown at" in note]
+    assert said in note
+
+
+def test_a_fence_below_a_targets_altitude_leaves_room_to_plan(tmp_path: Path) -> None:
+    mission = blind(tmp_path, 40.0, 80.0)
+    lowered = replace(mission.task.limits, ceiling_amsl_m=LAUNCH_M + 75.0)
+    low_m, high_m = mission.task_to(1, replace(mission.task, limits=lowered)).band_amsl_m
+    assert low_m < high_m <= LAUNCH_M + 75.0
+
+
+def over_the_valley(folder: Path, north_m: float, east_m: float) -> Mission:
+    """To one target at 520 m AMSL over an elevation file, without a radar."""
+    raw = VALLEY_TEXT.replace("[[targets]]\nnorth_m = -3850.0\neast_m = 800.0\n", "")
+    text = raw.replace('kind = "copter"\n', 'kind = "copter"\nscanner = false\n')
+    text += f"[[targets]]\nname = 'at 520'\nnorth_m = {north_m}\neast_m = {east_m}\n"
+    text += f'altitude_amsl_m = 520.0\n[terrain]\nfile = "{VALLEY / "terrain.tif"}"\n'
+    path = folder / "mission.toml"
+    path.write_text(text + 'vertical_datum = "AMSL"\n', encoding="utf-8")
+    return load_mission(str(path))
+
+
+def test_what_the_elevation_file_says_against_it_is_said(tmp_path: Path) -> None:
+    assert over_the_valley(tmp_path, -3850.0, 800.0).notes == ()
+    [low] = over_the_valley(tmp_path, -3850.0, -2000.0).notes
+    assert "at 520 is planned at 520 m AMSL and flown at 585 m" in low
+    with pytest.raises(InputError, match="not known, or too high for the ceiling"):
+        over_the_valley(tmp_path, 0.0, -3500.0)  # in a mountain
+
+
+def test_a_target_outside_of_the_band_is_refused(tmp_path: Path) -> None:
+    path, target = tmp_path / "mission.toml", "east_m = 800.0\n"
+    text = VALLEY_TEXT.replace(target, f"{target}altitude_amsl_m = 650.0\n")
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=r"targets\[0\].altitude_amsl_m = .*no path lies higher"):
+        load_mission(str(path))
+    band = "[altitude]\nfloor_amsl_m = 440.0\nceiling_amsl_m = 520.0\n"
+    with pytest.raises(InputError, match=r"altitude\.floor_amsl_m"):
+        blind(tmp_path, 40.0, ground_m=LAUNCH_M + 80.0, more=band)
+
+
+def of_terrain(
+    height_m: float, mode: int | None = None, frame: int = 10, north: float = 0.0054
+) -> Any:
+    """As frame 10, or as QGroundControl's AltitudeMode with the height in a key of its own."""
+    if mode is None:
+        return waypoint(north, height_m, frame)
+    sent_m, frame = (None, 0) if mode == 3 else (height_m, frame)  # 3: sent as AMSL
+    return waypoint(north, sent_m, frame, AltitudeMode=mode, Altitude=height_m)
+
+
+@pytest.mark.parametrize("said", [{}, {"mode": 3}, {"mode": 4}, {"frame": 11}])
+def test_above_terrain_is_above_the_ground_stated(tmp_path: Path, said: dict[str, int]) -> None:
+    terrain = f"{BLIND}[terrain]\nhighest_amsl_m = 417.0\n"
+    mission = naming(tmp_path, plan(waypoint(0.0027, 100.0), of_terrain(120.0, **said)), terrain)
+    assert mission.altitudes_amsl_m == (500.0, 537.0)
+
+
+def test_above_terrain_is_above_the_ground_of_a_file(tmp_path: Path) -> None:
+    """The ground rises by 1 m for each 0.0002 degrees of latitude, so by 27 m to the waypoint."""
+    rows, step_deg = 400, 0.0002
+    rise_m = np.arange(rows)[::-1, None] + np.zeros((rows, rows)) - 0.04 / step_deg
+    corner = 47.4 - 0.04 + (rows - 1) * step_deg, 8.55 - 0.04
+    write_elevation(tmp_path / "slope.tif", LAUNCH_M + rise_m, corner, step_deg)
+    terrain = f'{BLIND}[terrain]\nfile = "slope.tif"\nvertical_datum = "EGM96"\n'
+    mission = naming(tmp_path, plan(waypoint(0.0027, 100.0), of_terrain(120.0)), terrain)
+    ground_m = LAUNCH_M + 0.0054 / step_deg
+    assert ground_m + 120.0 <= mission.altitudes_amsl_m[1] <= ground_m + 122.0
+    with pytest.raises(InputError, match=r"items\[1\].*the ground is there is not known"):
+        naming(tmp_path, plan(waypoint(), of_terrain(120.0, north=0.06)), terrain)
+
+
+def test_an_altitude_above_ground_that_is_not_known_is_refused_or_said(tmp_path: Path) -> None:
+    """Without a radar it would be flown; with one every altitude of the band is as good."""
+    modes = ((120.0, None), (90.0, 3), (80.0, 4))
+    items = [waypoint(altitude=100.0), *(of_terrain(height_m, mode) for height_m, mode in modes)]
+    with pytest.raises(InputError, match=r"x\.plan: mission\.items\[1\].* = 120"):
+        naming(tmp_path, plan(*items), BLIND)
+    mission = naming(tmp_path, plan(*items), "")
+    assert mission.altitudes_amsl_m == ()
+    assert mission.task_to(1, mission.task) is mission.task
+    said = next(note for note in mission.notes if "above terrain" in note)
+    assert "3 x altitude above terrain" in said
