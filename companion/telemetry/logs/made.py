@@ -7,7 +7,6 @@ import math
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Final, NamedTuple, final
@@ -57,11 +56,9 @@ def made(
     epoch_us: when it booted, microseconds since 1970, None if nothing tells; start_us: when the
     log begins, microseconds since boot.
     """
-    if epoch_us is None:
-        log.odd[Odd.NO_DATE] = 1
+    log.odd[Odd.NO_DATE] = int(epoch_us is None)
     boot_us = epoch_us or 0
-    last_us, start_us = boot_us + LONGEST_US, boot_us + start_us
-    clock = Clock(log.odd, start_us=start_us, last_us=last_us)
+    clock = Clock(log.odd, start_us=boot_us + start_us, last_us=boot_us + LONGEST_US)
     codec = wire.MAVLink(None, srcSystem=log.system_id, srcComponent=AUTOPILOT_COMPONENT)
     for row in rows:
         if row.time_us is not None and not clock.read(boot_us + row.time_us):
@@ -74,8 +71,7 @@ def made(
             log.odd[Odd.DAMAGED] += 1
             continue
         log.heard.update(message.get_msgId() for message in messages)
-        for frame in frames:
-            yield Record(clock.now_us, frame)
+        yield from (Record(clock.now_us, frame) for frame in frames)
 
 
 @contextmanager
@@ -89,10 +85,10 @@ def silent(library: ModuleType) -> Iterator[None]:
 
 
 def refuse_older(
-    path: Path, firmware: str, version: tuple[int, int] | None, oldest: tuple[int, int]
+    path: Path, firmware: str, version: tuple[int, int], oldest: tuple[int, int]
 ) -> None:
-    """InputError if a log is of a version before the oldest that is known; None: it tells none."""
-    if version is not None and version < oldest:
+    """InputError if a log is of a version before the oldest that is known."""
+    if version < oldest:
         rule = f"it is of {firmware} {version[0]}.{version[1]}"
         rule += f", and logs are read from {oldest[0]}.{oldest[1]} on"
         remedy = "Fly newer firmware, or use companion 0.2.0 for it."
@@ -100,11 +96,12 @@ def refuse_older(
 
 
 @final
-@dataclass(slots=True)
 class Pace:
     """Limits the rate of messages to that of a link."""
 
-    _sent_us: dict[str, int] = field(default_factory=dict)
+    def __init__(self) -> None:
+        """Nothing was sent yet."""
+        self._sent_us: dict[str, int] = {}
 
     def is_due(self, what: str, time_us: int) -> bool:
         """Whether the period of such a message has passed; then it counts as sent now."""
@@ -171,8 +168,3 @@ def direction(angle_deg: float) -> int:
 def whole(value: float, least: int, most: int) -> int:
     """Rounded, for a field that says only so much.  ValueError if it is not finite."""
     return min(max(round(value), least), most)
-
-
-def thousandths(value: float) -> int:
-    """An accuracy, m or m/s, as GPS_RAW_INT has it."""
-    return whole(value * 1e3, 0, 0xFFFFFFFF)

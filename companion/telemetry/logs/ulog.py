@@ -27,12 +27,11 @@ from companion.telemetry.logs.log import (
     chosen,
     earliest,
 )
-from companion.telemetry.logs.made import Row, Values, direction, thousandths, whole, wired
+from companion.telemetry.logs.made import Row, Values, direction, whole, wired
 
-TOPICS: Final = (
-    *("battery_status", "estimator_status", "estimator_status_flags", "home_position"),
-    *("sensor_gps", "vehicle_global_position", "vehicle_land_detected", "vehicle_local_position"),
-    "vehicle_status",
+TOPICS: Final = tuple(
+    "battery_status estimator_status estimator_status_flags home_position sensor_gps "
+    "vehicle_global_position vehicle_land_detected vehicle_local_position vehicle_status".split()
 )
 """Names of what is translated, beside parameters and texts."""
 _OLDEST: Final = (1, 13)
@@ -63,6 +62,8 @@ _LEAVING: Final = {
 }
 """nav_state -> MAV_LANDED_STATE, off the ground; else in the air."""
 _PLACE: Final = ("latitude_deg", "longitude_deg", "altitude_msl_m")
+_MOST: Final = 0xFFFFFFFF
+"""Of what GPS_RAW_INT says of accuracies, mm and mm/s."""
 _TIME: Final = attrgetter("time_us")
 _COLOURS: Final = re.compile(r"\x1b\[[0-9;]*m")
 
@@ -123,7 +124,7 @@ def _data(topic: ULog.Data) -> Iterator[Row]:
             yield Row(topic.name, values["timestamp"], values)
 
 
-# --- the first look
+# --- the log as a whole
 
 
 def opened(path: Path, system_id: int | None) -> Log | None:
@@ -157,40 +158,36 @@ def opened(path: Path, system_id: int | None) -> Log | None:
     )
 
 
-def _epoch_us(log: ULog) -> int | None:
+def _records(ulog: ULog, start_us: int, log: Log) -> Iterator[Record]:
+    """What it says.
+
+    start_us: when the log begins, by the vehicle's clock; if that is a date, it is taken for the
+    vehicle's boot.  What was published before the log began is told at its beginning.
+    """
+    zero_us = start_us if start_us >= YEAR_2000_US else 0
+    topics = _topics(ulog)
+    has_estimator = "estimator_status" in topics
+    log.odd[Odd.CORRUPT] = int(ulog.file_corruption)
+    log.odd[Odd.LOST_TIME] = sum(lost.duration for lost in ulog.dropouts)
+    log.odd[Odd.CLOCK_IS_DATE] = int(zero_us > 0)
+    log.odd[Odd.MADE_ESTIMATOR] = int("vehicle_local_position" in topics and not has_estimator)
+    epoch_us = _epoch_us(ulog, topics.get("sensor_gps")) or zero_us or None
+
+    def since_boot_us(time_us: int | None) -> int | None:
+        return None if time_us is None or time_us < start_us else time_us - zero_us
+
+    rows = (row._replace(time_us=since_boot_us(row.time_us)) for row in _rows(ulog))
+    messages = _Messages(epoch_us, has_estimator=has_estimator)
+    return made.made(log, rows, messages.of, epoch_us=epoch_us, start_us=start_us - zero_us)
+
+
+def _epoch_us(log: ULog, fixes: ULog.Data | None) -> int | None:
     """When the vehicle booted, microseconds since 1970: by its GPS, or else by its own clock."""
     dates = [log.msg_info_dict.get("boot_time_utc_us", 0)]
-    fixes = _topics(log).get("sensor_gps")
     if fixes is not None and "time_utc_usec" in fixes.data:
         utc_us, time_us = (fixes.data[each].tolist() for each in ("time_utc_usec", "timestamp"))
         dates[:0] = [date - at for date, at in zip(utc_us, time_us, strict=True)]
     return next((date for date in dates if YEAR_2000_US <= date < YEAR_2100_US), None)
-
-
-# --- what it says
-
-
-def _records(ulog: ULog, start_us: int, log: Log) -> Iterator[Record]:
-    """start_us: when the log begins, by the vehicle's clock, which may be a date."""
-    zero_us = start_us if start_us >= YEAR_2000_US else 0  # then that is taken for its boot
-    topics = _topics(ulog)
-    log.odd[Odd.CORRUPT] = int(ulog.file_corruption)
-    log.odd[Odd.LOST_TIME] = sum(lost.duration for lost in ulog.dropouts)
-    log.odd[Odd.CLOCK_IS_DATE] = int(zero_us > 0)
-    log.odd[Odd.MADE_ESTIMATOR] = int(
-        "vehicle_local_position" in topics and "estimator_status" not in topics
-    )
-    epoch_us = _epoch_us(ulog) or zero_us or None
-    rows = (_begun(row, start_us, zero_us) for row in _rows(ulog))
-    messages = _Messages(epoch_us, has_estimator="estimator_status" in topics)
-    return made.made(log, rows, messages.of, epoch_us=epoch_us, start_us=start_us - zero_us)
-
-
-def _begun(row: Row, start_us: int, zero_us: int) -> Row:
-    """What was published before the log began is told at its beginning."""
-    if row.time_us is None or row.time_us < start_us:
-        return row._replace(time_us=None)
-    return row._replace(time_us=row.time_us - zero_us)
 
 
 @final
@@ -329,9 +326,9 @@ def _gps(values: Values, boot_us: int) -> Message:
         *(whole(values[each] * 100, 0, 65535) for each in ("hdop", "vdop", "vel_m_s")),
         *(direction(math.degrees(values["cog_rad"])), values["satellites_used"]),
         alt_ellipsoid=round(ellipsoid_mm),
-        h_acc=thousandths(values["eph"]),
-        v_acc=thousandths(values["epv"]),
-        vel_acc=thousandths(values["s_variance_m_s"]),
+        h_acc=whole(values["eph"] * 1e3, 0, _MOST),
+        v_acc=whole(values["epv"] * 1e3, 0, _MOST),
+        vel_acc=whole(values["s_variance_m_s"] * 1e3, 0, _MOST),
     )
 
 
