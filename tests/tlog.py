@@ -29,5 +29,4 @@ def messages(folder: Path) -> list[Any]:
 
 def recorded_frames(path: Path) -> list[tuple[int, bytes]]:
     """Stamp, in microseconds, and frame of each record, as the companion reads its own log."""
-    with Records(path) as records:
-        return list(iter(records.take, None))
+    return list(Records(path))

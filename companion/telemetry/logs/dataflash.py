@@ -31,7 +31,10 @@ from companion.telemetry.logs.made import Row, Values, direction, whole, wired
 _LOOKED_AT: Final = frozenset(("GPS", "MSG", "PARM", "VER"))
 """Names of the entries that tell of the whole log, beforehand."""
 _TRANSLATED: Final = frozenset(
-    "ARM ATT BAT DSF ERR EV GPS MODE MSG ORGN PARM POS STAT XKF1 XKF4".split()
+    (
+        *("ARM", "ATT", "BAT", "DSF", "ERR", "EV", "GPS", "MODE", "MSG"),
+        *("ORGN", "PARM", "POS", "STAT", "XKF1", "XKF4"),
+    )
 )
 _MAGIC: Final = b"\xa3\x95"
 _LONGEST: Final = 255

@@ -29,9 +29,10 @@ from companion.telemetry.logs.log import (
 )
 from companion.telemetry.logs.made import Row, Values, direction, whole, wired
 
-TOPICS: Final = tuple(
-    "battery_status estimator_status estimator_status_flags home_position sensor_gps "
-    "vehicle_global_position vehicle_land_detected vehicle_local_position vehicle_status".split()
+TOPICS: Final = (
+    *("battery_status", "estimator_status", "estimator_status_flags", "home_position"),
+    *("sensor_gps", "vehicle_global_position", "vehicle_land_detected", "vehicle_local_position"),
+    "vehicle_status",
 )
 """Names of what is translated, beside parameters and texts."""
 _OLDEST: Final = (1, 13)
