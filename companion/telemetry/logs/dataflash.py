@@ -191,18 +191,16 @@ def _epoch_us(row: Row) -> int | None:
 
 def _records(look: _Look, log: Log) -> Iterator[Record]:
     log.odd[Odd.NO_KIND] = int(look.mav_type is None)
-    rows, messages = _rows(log.path, log.odd, _TRANSLATED), _Messages(look, log.odd)
-    start_us = earliest(look.times_us)
-    return made.made(log, rows, messages.of, epoch_us=look.epoch_us, start_us=start_us)
+    rows = _rows(log.path, log.odd, _TRANSLATED)
+    return made.made(log, rows, _Vehicle(look, log.odd), earliest(look.times_us))
 
 
 @final
-class _Messages:
-    """The messages of the entries of one pass, from first to last."""
+class _Vehicle:
+    """The vehicle in one pass, from first to last."""
 
     def __init__(self, look: _Look, odd: Counter[Odd]) -> None:
-        self._mav_type, self._epoch_us, self._odd = look.mav_type, look.epoch_us, odd
-        self._is_due = made.Pace().is_due
+        self.epoch_us, self._mav_type, self._odd = look.epoch_us, look.mav_type, odd
         self._mode: int | None = None
         self._armed, self._landed = False, wire.MAV_LANDED_STATE_UNDEFINED
         self._failsafes: set[int] = set()
@@ -212,17 +210,10 @@ class _Messages:
         self._yaw_deg = math.nan
         self._texts = 0
 
-    def of(self, name: str, values: Values, boot_us: int) -> Iterator[Message]:
-        """Messages of one entry."""
-        before = self._shown()
-        yield from self._of(name, values, boot_us)
-        if self._is_due("heartbeat", boot_us) or self._shown() != before:
-            yield from self._state()
-        if self._is_due("clock", boot_us):
-            yield made.system_time(self._epoch_us, boot_us)
-
-    def _of(self, name: str, values: Values, boot_us: int) -> Iterator[Message]:
-        match name:
+    def messages(self, row: Row, boot_us: int) -> Iterator[Message]:
+        """What it would have sent of an entry."""
+        values = row.values
+        match row.name:
             case "MODE":
                 self._mode = int(values["ModeNum"])
             case "ARM":
@@ -240,11 +231,15 @@ class _Messages:
                 velocity = (values["VN"], values["VE"], values["VD"])
                 self._velocities[values.get("C", 0)] = (boot_us, *velocity)
             case "XKF4":
-                yield from self._estimator(values, boot_us)
+                self._core = max(values.get("PI", 0), 0)
+                if values.get("C", 0) == self._core:
+                    yield _estimator(values)
             case "ATT":
                 self._yaw_deg = values["Yaw"]
-            case "POS":
-                yield from self._position(values, boot_us)
+            case "POS" if self._core in self._velocities:
+                at_us, *velocity = self._velocities[self._core]
+                if boot_us - at_us <= _FRESH_US:
+                    yield self._position(values, velocity, boot_us)
             case "ORGN" if values["Type"] == 0:
                 yield wire.MAVLink_gps_global_origin_message(*_wired(values), boot_us)
             case "ORGN" if values["Type"] == 1:
@@ -254,10 +249,9 @@ class _Messages:
             case "GPS" if values.get("I", 0) == 0:
                 yield _gps(values, boot_us)
             case "BAT" if values.get("Inst", values.get("Instance", values.get("I", 0))) == 0:
-                if self._is_due("battery", boot_us):
-                    percent = values.get("RemPct", -1)
-                    percent = percent if 0 <= percent <= 100 else -1
-                    yield made.battery(values["Volt"], values.get("Curr", 0.0), percent)
+                percent = values.get("RemPct", -1)
+                percent = percent if 0 <= percent <= 100 else -1
+                yield made.battery(values["Volt"], values.get("Curr", 0.0), percent)
             case "PARM":
                 yield made.parameter(values["Name"], values["Value"])
             case "MSG":
@@ -268,11 +262,11 @@ class _Messages:
             case _:
                 return  # of another receiver, battery or subsystem
 
-    def _shown(self) -> tuple[int | None, bool, bool, int]:
+    def shown(self) -> tuple[int | None, bool, bool, int]:
         """What is told at once when it changes."""
         return self._mode, self._armed, bool(self._failsafes), self._landed
 
-    def _state(self) -> Iterator[Message]:
+    def state(self) -> Iterator[Message]:
         """HEARTBEAT and EXTENDED_SYS_STATE."""
         status = wire.MAV_STATE_ACTIVE
         if self._failsafes:
@@ -286,31 +280,24 @@ class _Messages:
         if self._landed != wire.MAV_LANDED_STATE_UNDEFINED:
             yield made.ground(self._landed)
 
-    def _position(self, values: Values, boot_us: int) -> Iterator[Message]:
-        """GLOBAL_POSITION_INT; none without a velocity of the same moment."""
-        velocity = self._velocities.get(self._core)
-        if velocity is None or boot_us - velocity[0] > _FRESH_US:
-            return
-        if self._is_due("position", boot_us):
-            yield wire.MAVLink_global_position_int_message(
-                made.boot_ms(boot_us),
-                *(*_wired(values), round(values.get("RelHomeAlt", 0.0) * 1e3)),
-                *(round(each * 100) for each in velocity[1:]),
-                direction(self._yaw_deg),
-            )
+    def _position(self, values: Values, velocity: list[float], boot_us: int) -> Message:
+        """GLOBAL_POSITION_INT."""
+        return wire.MAVLink_global_position_int_message(
+            made.boot_ms(boot_us),
+            *(*_wired(values), round(values.get("RelHomeAlt", 0.0) * 1e3)),
+            *(round(each * 100) for each in velocity),
+            direction(self._yaw_deg),
+        )
 
-    def _estimator(self, values: Values, boot_us: int) -> Iterator[Message]:
-        """EKF_STATUS_REPORT of the primary core's XKF4."""
-        self._core = max(values.get("PI", 0), 0)
-        if values.get("C", 0) != self._core or not self._is_due("estimator", boot_us):
-            return
-        status = values["SS"]
-        flags = status & _SAME | (wire.EKF_GPS_GLITCHING if status & _GLITCHING else 0)
-        if not status & (_INITIALISED if status >= _INITIALISED else wire.EKF_ATTITUDE):
-            flags |= wire.EKF_UNINITIALIZED
-        variances = (values["SV"], values["SP"], values["SH"], values["SM"], 0.0)
-        airspeed = values["SVT"]
-        yield wire.MAVLink_ekf_status_report_message(flags, *variances, airspeed_variance=airspeed)
+
+def _estimator(values: Values) -> Message:
+    """EKF_STATUS_REPORT."""
+    status = values["SS"]
+    flags = status & _SAME | (wire.EKF_GPS_GLITCHING if status & _GLITCHING else 0)
+    if not status & (_INITIALISED if status >= _INITIALISED else wire.EKF_ATTITUDE):
+        flags |= wire.EKF_UNINITIALIZED
+    variances = (values["SV"], values["SP"], values["SH"], values["SM"], 0.0, values["SVT"])
+    return wire.MAVLink_ekf_status_report_message(flags, *variances)
 
 
 def _gps(values: Values, boot_us: int) -> Message:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from functools import partial
 from operator import attrgetter
 from pathlib import Path
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
 from pyulog import ULog, core
@@ -178,8 +178,8 @@ def _records(ulog: ULog, start_us: int, log: Log) -> Iterator[Record]:
         return None if time_us is None or time_us < start_us else time_us - zero_us
 
     rows = (row._replace(time_us=since_boot_us(row.time_us)) for row in _rows(ulog))
-    messages = _Messages(epoch_us, has_estimator=has_estimator)
-    return made.made(log, rows, messages.of, epoch_us=epoch_us, start_us=start_us - zero_us)
+    vehicle = _Vehicle(epoch_us, has_estimator=has_estimator)
+    return made.made(log, rows, vehicle, start_us - zero_us)
 
 
 def _epoch_us(log: ULog, fixes: ULog.Data | None) -> int | None:
@@ -192,12 +192,11 @@ def _epoch_us(log: ULog, fixes: ULog.Data | None) -> int | None:
 
 
 @final
-class _Messages:
-    """The messages of the rows of one pass, from first to last."""
+class _Vehicle:
+    """The vehicle in one pass, from first to last."""
 
     def __init__(self, epoch_us: int | None, *, has_estimator: bool) -> None:
-        self._epoch_us, self._has_estimator = epoch_us, has_estimator
-        self._is_due = made.Pace().is_due
+        self.epoch_us, self._has_estimator = epoch_us, has_estimator
         self._status: Values = {}
         self._landed: bool | None = None
         self._local: Values = {}
@@ -206,44 +205,33 @@ class _Messages:
         self._flags: Values = {}
         self._texts = 0
 
-    def of(self, name: str, values: Values, boot_us: int) -> Iterator[Message]:
-        """Messages of one row."""
-        yield from self._of(name, values, boot_us)
-        if self._status and self._is_due("heartbeat", boot_us):
-            yield from self._state()
-        if self._status and self._is_due("clock", boot_us):
-            yield made.system_time(self._epoch_us, boot_us)
-
-    def _of(self, name: str, values: Values, boot_us: int) -> Iterator[Message]:
-        match name:
+    def messages(self, row: Row, boot_us: int) -> Iterator[Message]:
+        """What it would have sent of a row."""
+        values = row.values
+        match row.name:
             case "vehicle_status":
-                before, self._status = self._status, values
+                self._status = values
                 if values["nav_state"] not in _MODES:
                     raise ValueError("no such nav_state")
-                if any(values.get(each) != before.get(each) for each in _SHOWN):
-                    yield from self._state()
             case "vehicle_land_detected":
-                was_landed, self._landed = self._landed, bool(values["landed"])
-                if self._status and was_landed != self._landed:
-                    yield from self._state()
+                self._landed = bool(values["landed"])
             case "vehicle_local_position":
                 self._local = values
                 yield from self._place(values, boot_us)
-                if not self._has_estimator and self._flags and self._is_due("estimator", boot_us):
+                if not self._has_estimator and self._flags:
                     yield _made_estimator(values, self._flags, boot_us)
-            case "vehicle_global_position" if self._local and self._is_due("position", boot_us):
+            case "vehicle_global_position" if self._local:
                 yield self._position(values, boot_us)
             case "home_position" if values.get("valid_hpos", True):
                 self._home_alt_m = values["alt"] if values.get("valid_alt", True) else None
-                if self._is_due("home", boot_us):
-                    yield _home(values, boot_us)
+                yield _home(values, boot_us)
             case "sensor_gps":
                 yield _gps(values, boot_us)
-            case "estimator_status" if self._is_due("estimator", boot_us):
+            case "estimator_status":
                 yield _estimator(values, boot_us)
             case "estimator_status_flags":
                 self._flags = values
-            case "battery_status" if self._is_due("battery", boot_us):
+            case "battery_status":
                 left, amperes = values["remaining"], values["current_a"]
                 is_known = values.get("connected", True) and 0.0 <= left <= 1.0
                 percent = math.ceil(left * 100) if is_known else -1
@@ -259,10 +247,12 @@ class _Messages:
                 self._texts = self._texts % 0xFFFF + 1
                 severity = min(max(values["level"] - ord("0"), 0), wire.MAV_SEVERITY_DEBUG)
                 yield from made.texts(_COLOURS.sub("", values["text"]), severity, self._texts)
-            case _:
-                return  # not due, or of nothing that is known
 
-    def _state(self) -> Iterator[Message]:
+    def shown(self) -> tuple[Any, ...]:
+        """What is told at once when it changes; empty while nothing is known."""
+        return (*map(self._status.get, _SHOWN), self._landed) if self._status else ()
+
+    def state(self) -> Iterator[Message]:
         """HEARTBEAT and EXTENDED_SYS_STATE."""
         values, mode = self._status, self._status["nav_state"]
         if mode in _MODES:
