@@ -237,9 +237,8 @@ class _Vehicle:
             case "ATT":
                 self._yaw_deg = values["Yaw"]
             case "POS" if self._core in self._velocities:
-                at_us, *velocity = self._velocities[self._core]
-                if boot_us - at_us <= _FRESH_US:
-                    yield self._position(values, velocity, boot_us)
+                if boot_us - self._velocities[self._core][0] <= _FRESH_US:
+                    yield self._position(values, boot_us)
             case "ORGN" if values["Type"] == 0:
                 yield wire.MAVLink_gps_global_origin_message(*_wired(values), boot_us)
             case "ORGN" if values["Type"] == 1:
@@ -280,12 +279,12 @@ class _Vehicle:
         if self._landed != wire.MAV_LANDED_STATE_UNDEFINED:
             yield made.ground(self._landed)
 
-    def _position(self, values: Values, velocity: list[float], boot_us: int) -> Message:
-        """GLOBAL_POSITION_INT."""
+    def _position(self, values: Values, boot_us: int) -> Message:
+        """GLOBAL_POSITION_INT, with the newest velocity."""
         return wire.MAVLink_global_position_int_message(
             made.boot_ms(boot_us),
             *(*_wired(values), round(values.get("RelHomeAlt", 0.0) * 1e3)),
-            *(round(each * 100) for each in velocity),
+            *(round(each * 100) for each in self._velocities[self._core][1:]),
             direction(self._yaw_deg),
         )
 

@@ -247,6 +247,8 @@ class _Vehicle:
                 self._texts = self._texts % 0xFFFF + 1
                 severity = min(max(values["level"] - ord("0"), 0), wire.MAV_SEVERITY_DEBUG)
                 yield from made.texts(_COLOURS.sub("", values["text"]), severity, self._texts)
+            case _:
+                return  # what is not valid, or of nothing that is known
 
     def shown(self) -> tuple[Any, ...]:
         """What is told at once when it changes; empty while nothing is known."""
