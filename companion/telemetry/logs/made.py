@@ -27,7 +27,6 @@ _PERIODS_US: Final = {
     wire.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 95_000,
     wire.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 95_000,
     wire.MAVLINK_MSG_ID_SYS_STATUS: 490_000,
-    wire.MAVLINK_MSG_ID_HOME_POSITION: 490_000,
 }
 """The least between two messages of a kind, microseconds: a link has no more."""
 _NO_DIRECTION: Final = 65535

@@ -62,6 +62,8 @@ _LEAVING: Final = {
     _LAND: wire.MAV_LANDED_STATE_LANDING,
 }
 """nav_state -> MAV_LANDED_STATE, off the ground; else in the air."""
+_HOME_EVERY_US: Final = 490_000
+"""PX4 publishes its home all the time."""
 _PLACE: Final = ("latitude_deg", "longitude_deg", "altitude_msl_m")
 _MOST: Final = 0xFFFFFFFF
 """Of what GPS_RAW_INT says of accuracies, mm and mm/s."""
@@ -201,6 +203,7 @@ class _Vehicle:
         self._landed: bool | None = None
         self._local: Values = {}
         self._home_alt_m: float | None = None
+        self._home_us = -_HOME_EVERY_US
         self._origin: tuple[float, float, float] | None = None
         self._flags: Values = {}
         self._texts = 0
@@ -224,7 +227,9 @@ class _Vehicle:
                 yield self._position(values, boot_us)
             case "home_position" if values.get("valid_hpos", True):
                 self._home_alt_m = values["alt"] if values.get("valid_alt", True) else None
-                yield _home(values, boot_us)
+                if boot_us - self._home_us >= _HOME_EVERY_US:
+                    self._home_us = boot_us
+                    yield _home(values, boot_us)
             case "sensor_gps":
                 yield _gps(values, boot_us)
             case "estimator_status":
