@@ -30,16 +30,20 @@ HOUR = 3_600_000_000
 COPTER, STATION, COMPANION = (2, 3), (6, 8), (18, 8)
 
 
-def frame(message: Message, sender: tuple[int, int] = (1, 1)) -> bytes:
-    return bytes(message.pack(wire.MAVLink(None, srcSystem=sender[0], srcComponent=sender[1])))
+def frame(
+    message: Message,
+    sender: tuple[int, int] = (1, 1),
+    *,
+    v1: bool = False,
+    key: bytes | None = None,
+) -> bytes:
+    codec = wire.MAVLink(None, srcSystem=sender[0], srcComponent=sender[1])
+    codec.signing.sign_outgoing, codec.signing.secret_key = key is not None, key
+    return bytes(message.pack(codec, force_mavlink1=v1))
 
 
 def beat(mav_type: int, autopilot: int, sender: tuple[int, int] = (1, 1)) -> bytes:
     return frame(wire.MAVLink_heartbeat_message(mav_type, autopilot, 81, 4, 4, 3), sender)
-
-
-def attitude(sender: tuple[int, int] = (1, 1)) -> bytes:
-    return frame(wire.MAVLink_attitude_message(1, 0.1, 0.2, 0.3, 0.0, 0.0, 0.0), sender)
 
 
 def stamped(at_us: int, content: bytes) -> bytes:
@@ -51,16 +55,7 @@ def beats(*at_us: int) -> bytes:
     return b"".join(stamped(each, BEAT) for each in at_us)
 
 
-def attitudes() -> bytes:
-    """One in MAVLink 1, one in 2, one signed."""
-    codec, out = wire.MAVLink(None, srcSystem=1, srcComponent=1), b""
-    message = wire.MAVLink_attitude_message(1, 0.1, 0.2, 0.3, 0.0, 0.0, 0.0)
-    for is_1, key in ((True, None), (False, None), (False, bytes(32))):
-        codec.signing.sign_outgoing, codec.signing.secret_key = key is not None, key
-        out += stamped(0, bytes(message.pack(codec, force_mavlink1=is_1)))
-    return out
-
-
+ATTITUDE = wire.MAVLink_attitude_message(1, 0.1, 0.2, 0.3, 0.0, 0.0, 0.0)
 BEAT = beat(*COPTER)
 SECRET = frame(wire.MAVLink_setup_signing_message(1, 1, list(range(32)), 5))
 GARBAGE = b"Telemetry log, v1\r\n\xfd\x09\xfe\xfe"
@@ -68,9 +63,10 @@ NOISY = GARBAGE + beats(0) + b"\xfd" * 300 + beats(1) + b"abc" + beats(2) + b"ab
 WRONG = bytearray(beats(3))
 WRONG[20] ^= 0x10  # a bit of its payload
 FLIPPED = beats(0, 1, 2) + bytes(WRONG) + beats(4, 5)
-KINDS = attitudes()
+KINDS = stamped(0, frame(ATTITUDE, v1=True)) + stamped(0, frame(ATTITUDE))
+KINDS += stamped(0, frame(ATTITUDE, key=bytes(32)))
 TWO = b"".join(
-    beats(k) + stamped(k, attitude((3, 1))) + stamped(k, beat(*STATION, (255, 190)))
+    beats(k) + stamped(k, frame(ATTITUDE, (3, 1))) + stamped(k, beat(*STATION, (255, 190)))
     for k in range(10)
 )
 TWO += stamped(10, beat(2, 12, (3, 1))) + stamped(10, beat(*COMPANION, (4, 1)))
