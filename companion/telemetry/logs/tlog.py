@@ -117,7 +117,9 @@ def _autopilots_of(data: bytes) -> tuple[dict[int, int], frozenset[tuple[int, in
 
 @contextmanager
 def _mapped(path: Path) -> Iterator[bytes]:
-    """The bytes of a file that is not empty."""
+    """The bytes of a file.  OSError if it cannot be read, or nothing is in it any more."""
+    if not path.stat().st_size:
+        raise OSError("it is empty")
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         yield cast("bytes", data)  # for who looks for frames, it is like bytes
 
