@@ -172,14 +172,13 @@ def test_a_long_track_is_thinned_evenly_and_keeps_its_ends(
 
 
 def test_a_place_beside_a_subpath_is_told_how_far_it_is_and_where_it_is_nearest() -> None:
-    """Against points of the curve a centimetre apart; chords of 5 m leave it by a few."""
+    """Against points of the curve a centimetre apart."""
     corners = [(0.0, 0.0, 100.0), (20.0, 5.0, 101.0), (40.0, 5.0, 103.0), (60.0, 30.0, 103.0)]
     subpath = Subpath(control_nea_m=np.array([*corners, (70.0, 60.0, 104.0)]))
-    chords, lengths_m = shapes.Chords(subpath), np.arange(0.0, subpath.length_m, 0.01)
+    lengths_m = np.arange(0.0, subpath.length_m, 0.01)
     curve = subpath.points_nea_m(lengths_m)
     for place in np.random.default_rng(1).uniform((0, 0, 95), (75, 65, 110), (50, 3)):
         away_m = np.linalg.norm(curve - place, axis=1)
-        off_m, at_m = chords.nearest(place)
-        assert off_m == pytest.approx(away_m.min(), abs=0.2)
-        nearest_m = np.linalg.norm(subpath.points_nea_m(np.array([at_m]))[0] - place)
-        assert nearest_m == pytest.approx(away_m.min(), abs=0.2)
+        off_m, at_m = shapes.SubpathPoints(subpath).nearest(place)
+        assert off_m == pytest.approx(away_m.min(), abs=0.03)
+        assert at_m == pytest.approx(lengths_m[away_m.argmin()], abs=0.5)
