@@ -17,15 +17,7 @@ from pymavlink import DFReader
 
 from companion.mavlink.dialect import Message, wire
 from companion.telemetry.logs import made
-from companion.telemetry.logs.log import (
-    YEAR_2000_US,
-    YEAR_2100_US,
-    Log,
-    Odd,
-    Record,
-    chosen,
-    earliest,
-)
+from companion.telemetry.logs.log import YEAR_2000_US, YEAR_2100_US, Log, Odd, Record, earliest
 from companion.telemetry.logs.made import Row, Values, direction, whole, wired
 
 _LOOKED_AT: Final = frozenset(("GPS", "MSG", "PARM", "VER"))
@@ -124,20 +116,14 @@ def _rows(path: Path, odd: Counter[Odd], wanted: Collection[str]) -> Iterator[Ro
 # --- the first look
 
 
-def opened(path: Path, system_id: int | None) -> Log | None:
-    """A .bin; None: nothing of use is in it.  InputError: of firmware before 4.0, or not whose."""
+def opened(path: Path) -> Log | None:
+    """A .bin; None: nothing of use is in it.  InputError: it is of firmware before 4.0."""
     look = _Look(path)
     made.refuse_older(path, "ArduPilot", look.version, _OLDEST)
     if not look.times_us:
         return None
-    return Log(
-        kind="bin",
-        path=path,
-        systems=(look.system_id,),
-        system_id=chosen(path, (look.system_id,), system_id),
-        autopilot=int(wire.MAV_AUTOPILOT_ARDUPILOTMEGA),
-        read=partial(_records, look),
-    )
+    autopilots = {look.system_id: int(wire.MAV_AUTOPILOT_ARDUPILOTMEGA)}
+    return Log(kind="bin", path=path, autopilots=autopilots, read=partial(_records, look))
 
 
 @final

@@ -91,20 +91,39 @@ class Log:
     kind: Literal["tlog", "bin", "ulg"]
     """tlog: MAVLink frames; bin: ArduPilot's own log; ulg: PX4's own."""
     path: Path
-    systems: tuple[int, ...]
-    """System ids of all autopilots in it."""
-    system_id: int | None
-    """The vehicle that is read; None: there is no heartbeat of an autopilot in it."""
-    autopilot: int | None
-    """MAV_AUTOPILOT; None: nothing tells."""
+    autopilots: dict[int, int]
+    """MAV_AUTOPILOT by system id, of all autopilots in it."""
     read: Callable[["Log"], Iterator[Record]]
     """One pass through it: notes in the log how far it is, what is odd and what it heard."""
     elsewhere: frozenset[tuple[int, int]] = frozenset()
     """System and component of what sends an autopilot's heartbeat and is not component 1."""
+    system_id: int | None = None
+    """The vehicle that is read; None: there is no heartbeat of an autopilot in it."""
     odd: Counter[Odd] = field(default_factory=Counter)
     """How often each oddity was met, as far as `records` has come."""
     heard: set[int] = field(default_factory=set)
     """Message numbers of the autopilot, likewise."""
+
+    def choose(self, asked: int | None) -> None:
+        """Select the vehicle that is asked for; None: the only one.  InputError if it is not."""
+        those = ", ".join(map(str, self.systems))
+        if asked is None and len(self.systems) > 1:
+            rule = f"several vehicles are in it, systems {those}"
+            raise InputError("log", str(self.path), rule, "Choose one with --system.")
+        self.system_id = next(iter(self.systems), None) if asked is None else asked
+        if asked is None or asked in self.systems:
+            return
+        rule = f"there is no such vehicle in {self.path.name}"
+        if of_it := sorted(each for each in self.elsewhere if each[0] == asked):
+            rule += f": its autopilot is {ids_in_words(of_it)}, not component 1"
+            raise InputError("--system", asked, rule, TO_COMPONENT_1)
+        none = "There is no autopilot's heartbeat in it: leave --system out."
+        raise InputError("--system", asked, rule, f"Its vehicles: {those}." if those else none)
+
+    @property
+    def systems(self) -> tuple[int, ...]:
+        """System ids of all autopilots in it."""
+        return tuple(sorted(self.autopilots))
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -117,7 +136,7 @@ class Log:
         MAVLink names (of several that serve alike, joined by "or"), and what is impossible without.
         """
         heard = {KINDS[number].msgname for number in self.heard & KINDS.keys()}
-        heard.add(_NOT_SENT.get(self.autopilot, ""))
+        heard.add(_NOT_SENT.get(self.autopilots.get(self.system_id or 0, 0), ""))
         return {
             message: without
             for message, without in _NEEDED.items()
@@ -135,27 +154,6 @@ class Log:
             yield from self.read(self)
         except OSError:
             self.odd[Odd.UNREADABLE] = 1
-
-
-def chosen(
-    path: Path,
-    systems: tuple[int, ...],
-    asked: int | None,
-    elsewhere: frozenset[tuple[int, int]] = frozenset(),
-) -> int | None:
-    """The selected vehicle; InputError if it is ambiguous.  elsewhere: as of `Log`."""
-    those = ", ".join(map(str, systems))
-    if asked is None and len(systems) > 1:
-        rule = f"several vehicles are in it, systems {those}"
-        raise InputError("log", str(path), rule, "Choose one with --system.")
-    if asked is None or asked in systems:
-        return asked or next(iter(systems), None)
-    rule = f"there is no such vehicle in {path.name}"
-    if of_it := sorted(each for each in elsewhere if each[0] == asked):
-        rule += f": its autopilot is {ids_in_words(of_it)}, not component 1"
-        raise InputError("--system", asked, rule, TO_COMPONENT_1)
-    none = "There is no autopilot's heartbeat in it: leave --system out."
-    raise InputError("--system", asked, rule, f"Its vehicles: {those}." if systems else none)
 
 
 # --- its time

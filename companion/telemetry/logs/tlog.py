@@ -29,7 +29,7 @@ from companion.mavlink.frames import (
     sender_of,
 )
 from companion.mavlink.signing import SECRETS, is_signed
-from companion.telemetry.logs.log import YEAR_2100_US, Clock, Log, Odd, Record, chosen, earliest
+from companion.telemetry.logs.log import YEAR_2100_US, Clock, Log, Odd, Record, earliest
 
 _STAMP: Final = 8
 _SAMPLE: Final = 200
@@ -41,11 +41,8 @@ _HEARTBEAT: Final = re.compile(
 _NO_AUTOPILOTS: Final = (wire.MAV_TYPE_GCS, wire.MAV_TYPE_ONBOARD_CONTROLLER)
 
 
-def opened(path: Path, system_id: int | None) -> Log | None:
-    """A log of MAVLink frames; None: there is none in it.
-
-    InputError if they have no time stamps, or it is not clear which vehicle is meant.
-    """
+def opened(path: Path) -> Log | None:
+    """A log of MAVLink frames; None: there is none in it.  InputError: they have no time stamps."""
     with _mapped(path) as data:
         framed = (each for each in _framed(data, Counter()) if number_of(each[1]) in KINDS)
         stamps = [stamp for stamp, _ in islice(framed, _SAMPLE)]
@@ -56,15 +53,11 @@ def opened(path: Path, system_id: int | None) -> Log | None:
     if 2 * len(times_us) < len(stamps):
         remedy = "Give the .tlog that was written beside it."
         raise InputError("log", str(path), "its messages have no time stamps", remedy)
-    systems = tuple(sorted(autopilots))
-    vehicle = chosen(path, systems, system_id, elsewhere)
     start_us = earliest([each for each in times_us if each < YEAR_2100_US])
     return Log(
         kind="tlog",
         path=path,
-        systems=systems,
-        system_id=vehicle,
-        autopilot=autopilots.get(vehicle or 0),
+        autopilots=autopilots,
         read=partial(_records, start_us),
         elsewhere=elsewhere,
     )

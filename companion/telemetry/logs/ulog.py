@@ -18,15 +18,7 @@ from companion.errors import InputError
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.parameter_client import encoded
 from companion.telemetry.logs import made
-from companion.telemetry.logs.log import (
-    YEAR_2000_US,
-    YEAR_2100_US,
-    Log,
-    Odd,
-    Record,
-    chosen,
-    earliest,
-)
+from companion.telemetry.logs.log import YEAR_2000_US, YEAR_2100_US, Log, Odd, Record, earliest
 from companion.telemetry.logs.made import Row, Values, direction, whole, wired
 
 TOPICS: Final = (
@@ -130,10 +122,10 @@ def _data(topic: ULog.Data) -> Iterator[Row]:
 # --- the log as a whole
 
 
-def opened(path: Path, system_id: int | None) -> Log | None:
+def opened(path: Path) -> Log | None:
     """A .ulg; None: nothing in it can be read.
 
-    InputError: it is of a later format, of firmware before 1.13, or not whose is asked for.
+    InputError: it is of a later format, or of firmware before 1.13.
     """
     log = _read(path)
     if log is None:
@@ -150,15 +142,9 @@ def opened(path: Path, system_id: int | None) -> Log | None:
         start_us = begun_us
     changed = {name: value for _, name, value in log.changed_parameters}
     system = (log.initial_parameters | changed).get("MAV_SYS_ID", 1)
-    systems = (system if isinstance(system, int) and 1 <= system <= 255 else 1,)
-    return Log(
-        kind="ulg",
-        path=path,
-        systems=systems,
-        system_id=chosen(path, systems, system_id),
-        autopilot=int(wire.MAV_AUTOPILOT_PX4),
-        read=partial(_records, log, start_us),
-    )
+    is_one = isinstance(system, int) and 1 <= system <= 255
+    autopilots = {system if is_one else 1: int(wire.MAV_AUTOPILOT_PX4)}
+    return Log(kind="ulg", path=path, autopilots=autopilots, read=partial(_records, log, start_us))
 
 
 def _records(ulog: ULog, start_us: int, log: Log) -> Iterator[Record]:
