@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pymavlink import mavutil  # noqa: TID251 - the reader that users have is the oracle
 from pymavlink.dialects.v20 import all as wire
+from tlog import read_by_pymavlink
 
 from companion.errors import InputError
 from companion.mission.journal import VERSION
@@ -61,13 +61,9 @@ def journal(path: Path) -> list[Any]:
 
 def assert_pymavlink_reads(path: Path, stamped: list[tuple[float, bytes]]) -> None:
     """Its reader finds these frames at these vehicle times."""
-    log, read = mavutil.mavlink_connection(str(path / "flight.tlog"), dialect="all"), []
-    while (message := log.recv_match()) is not None:
-        read.append((message._timestamp - EPOCH_US * 1e-6, bytes(message.get_msgbuf())))
-    log.close()
-    assert [frame for _, frame in read] == [frame for _, frame in stamped]
-    times_s = [time_s for time_s, _ in stamped]
-    assert [time_s for time_s, _ in read] == pytest.approx(times_s, abs=1e-5)
+    stamps_us = [EPOCH_US + round(time_s * 1e6) for time_s, _ in stamped]
+    frames = [bytes(frame) for _, frame in stamped]
+    assert read_by_pymavlink(path / "flight.tlog") == list(zip(stamps_us, frames, strict=True))
 
 
 # --- what is written
