@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from pymavlink import mavutil  # noqa: TID251 - the reader that users have is the oracle
 from pymavlink.dialects.v20 import all as wire
 
 from companion.telemetry.run_folder import Records
@@ -22,6 +23,15 @@ def frames_of(data: bytes) -> Iterator[tuple[int, Any]]:
     assert at == len(data)
 
 
+def read_by_pymavlink(path: Path) -> list[tuple[int, bytes]]:
+    """Stamp, in microseconds, and frame of each record, as users' own programs find them."""
+    log, found = mavutil.mavlink_connection(str(path), dialect="all"), []
+    while (message := log.recv_msg()) is not None:
+        found.append((round(message._timestamp * 1e6), bytes(message.get_msgbuf())))
+    log.close()
+    return found
+
+
 def messages(folder: Path) -> list[Any]:
     """All of a run folder's log."""
     return [message for _, message in frames_of((folder / "flight.tlog").read_bytes())]
@@ -29,5 +39,4 @@ def messages(folder: Path) -> list[Any]:
 
 def recorded_frames(path: Path) -> list[tuple[int, bytes]]:
     """Stamp, in microseconds, and frame of each record, as the companion reads its own log."""
-    with Records(path) as records:
-        return list(iter(records.take, None))
+    return list(Records(path))

@@ -12,7 +12,7 @@ from companion.geodesy import FloatArray
 from companion.live_view.recording import BATTERY, Event, Recording
 from companion.mission.state import Phase
 from companion.objective import TERMS
-from companion.telemetry.export.shapes import Chords, under_m
+from companion.telemetry.export.shapes import SubpathPoints, under_m
 from companion.telemetry.flight import Decided, Flight, IntArray
 from companion.views.words import clock_text, metres, metres_at_least
 from companion.world.columns import distance_to_terrain_m
@@ -187,12 +187,12 @@ def _aside_m(flight: Flight, rows: IntArray) -> FloatArray:
 
     The vehicle is behind the point that it is led by, so the subpath before counts too.
     """
-    aside, chords = np.full(len(rows), np.nan), dict[int, Chords]()
+    aside, points = np.full(len(rows), np.nan), dict[int, SubpathPoints]()
     for at, decided in enumerate(flight.decided_at(flight.times_s[rows])):
         for plan in (decided.leg, decided.leg_before):
             if plan is not None and decided.phase not in _DOWN:
-                if plan.plan_id not in chords:
-                    chords[plan.plan_id] = Chords(plan.subpath)
-                away_m, _ = chords[plan.plan_id].nearest(flight.places_nea_m[rows[at]])
+                if plan.plan_id not in points:
+                    points[plan.plan_id] = SubpathPoints(plan.subpath)
+                away_m, _ = points[plan.plan_id].nearest(flight.places_nea_m[rows[at]])
                 aside[at] = np.fmin(aside[at], away_m)
     return aside

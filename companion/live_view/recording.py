@@ -59,11 +59,6 @@ class Recording:
             raise InputError("RUN_DIR|LOG", str(path), rule, remedy)
         self.events = [Event(at_s, m.text) for at_s, m in self.flight.kept(_TEXT)]
 
-    def close(self) -> None:
-        """Close its files."""
-        if self._tlog is not None:
-            self._tlog.close()
-
     def read(self) -> None:
         """Read what has been recorded since."""
         if self._journal is None:
@@ -74,7 +69,7 @@ class Recording:
             more = True
         if self._tlog is None and flight.system_id is not None:
             self._tlog = Records(self.path / "flight.tlog")
-        while self._tlog is not None and (record := self._tlog.take()) is not None:
+        for record in self._tlog or ():
             flight.look(*record)
             more = True
         if more:

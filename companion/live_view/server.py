@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 from typing import Final
 
@@ -43,8 +42,7 @@ def serve(
                 return
             else:
                 time.sleep(_POLL_S)
-        with closing(recording):
-            Page(server, recording).run(stopped)
+        Page(server, recording).run(stopped)
     finally:
         server.stop()
 

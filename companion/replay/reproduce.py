@@ -206,7 +206,8 @@ class _Recording:
         self._found = found
         self._path = file_of_run(folder, "flight.tlog")
         self._lines = _entry_lines(file_of_run(folder, "journal.jsonl"))
-        self._log = Records(self._path)
+        self._records = Records(self._path)
+        self._log = iter(self._records)
         self.epoch_us: int | None = None
         """The stamp of vehicle time 0, by the first frame that is compared."""
         self._has_ended = False
@@ -223,12 +224,12 @@ class _Recording:
 
     def pass_over(self, frames: int) -> None:
         """Skip what the watchdog sent: this many frames, and one entry."""
-        while frames > 0 and self._log.take() is not None:
+        while frames > 0 and next(self._log, None) is not None:
             frames -= 1
         next(self._lines, None)
 
     def _frame_differs(self, time_s: float, frame: bytes) -> Difference | None:
-        if (held := self._log.take()) is None:
+        if (held := next(self._log, None)) is None:
             self._found.unrecorded += 1
             return self._is_damaged(time_s, frame)
         stamp_us, recorded = held
@@ -245,8 +246,8 @@ class _Recording:
     def _is_damaged(self, time_s: float, frame: bytes) -> Difference | None:
         """Whether the log ends here because the data after it is damaged; checked once."""
         has_ended, self._has_ended = self._has_ended, True
-        left = self._path.stat().st_size - self._log.end
-        if has_ended or left <= LONGEST_RECORD or is_hole(self._path, self._log.end):
+        left = self._path.stat().st_size - self._records.end
+        if has_ended or left <= LONGEST_RECORD or is_hole(self._path, self._records.end):
             return None
         what = f"{left:,} bytes that are no frames"
         return Difference(time_s, "flight.tlog", "", what, name_of(frame))

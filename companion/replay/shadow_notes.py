@@ -21,7 +21,7 @@ from companion.replay.shadow_report import (
     VehicleReport,
 )
 from companion.session import Session
-from companion.telemetry.export.shapes import Chords
+from companion.telemetry.export.shapes import SubpathPoints
 
 _EVER: Final = -1e8  # before that: not heard of yet
 _BEGINS: Final = "it begins to watch"
@@ -62,7 +62,7 @@ class Notes:
         """Of this session since the last hold, by their numbers."""
         self._cause = _BEGINS
         """Why the next plan from rest is asked for."""
-        self._path: tuple[PlanAttempt, Chords] | None = None
+        self._path: tuple[PlanAttempt, SubpathPoints] | None = None
         """What the flown track is compared with."""
         self._offs: dict[int, list[tuple[float, float]]] = {}
         """Of each plan, by its identity: when, and how far off."""
@@ -206,7 +206,7 @@ class Notes:
                 if entry.certificate.proven:
                     asked.clearance_m = entry.certificate.clearance_m
                 if self._path is None or not asked.goes_on:
-                    self._path = asked, Chords(entry.subpath)
+                    self._path = asked, SubpathPoints(entry.subpath)
             case journal.PlanRefused(plan_id=plan_id, reason=reason):
                 self._cause = "the last was refused"
                 if plan_id in self._plans:
@@ -263,11 +263,11 @@ class Notes:
         flight, leg = state.flight, state.leg
         if leg is not None and (self._path is None or self._path[0].plan_id != leg.plan_id):
             planned = self._plans.get(leg.plan_id)
-            self._path = None if planned is None else (planned, Chords(leg.subpath))
+            self._path = None if planned is None else (planned, SubpathPoints(leg.subpath))
         if self._path is None:
             return
-        asked, chords = self._path
-        off_m, along_m = chords.nearest(here)
+        asked, points = self._path
+        off_m, along_m = points.nearest(here)
         self._offs.setdefault(id(asked), []).append((at_s, off_m))
         if leg is not None:
             return

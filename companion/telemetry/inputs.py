@@ -16,7 +16,6 @@ session: its name, then its arguments.
 It ends with the last whole record, however the flight ended.
 """
 
-import os
 from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
@@ -52,9 +51,7 @@ class InputsFile:
 
     def __init__(self, path: Path) -> None:
         """InputError if it is another kind of file, or of an unsupported version."""
-        self.path = path
-        self.size_bytes = self.read_bytes = 0
-        """Of the file, as far as it was seen; how much of it was read."""
+        self.path, self.read_bytes = path, 0
         self._is_broken = False
         try:
             head = next(iter(self), ())
@@ -71,8 +68,8 @@ class InputsFile:
 
     @property
     def torn_bytes(self) -> int:
-        """At the end of what was seen of the file, of a record that is not whole."""
-        return self.size_bytes - self.read_bytes
+        """After the last whole record that was read."""
+        return self.path.stat().st_size - self.read_bytes
 
     @property
     def is_damaged(self) -> bool:
@@ -82,14 +79,11 @@ class InputsFile:
     def __iter__(self) -> Iterator[Input]:
         """The next ones, up to the last whole one."""
         with self.path.open("rb") as file:
-            self.size_bytes = file.seek(0, os.SEEK_END)
             for end, told in () if self._is_broken else _records(file, self.read_bytes):
-                if told is None:
-                    self._is_broken = True
-                    return
-                self.read_bytes = end
-                yield told
-            self.size_bytes = max(file.tell(), self.read_bytes)
+                self._is_broken = told is None
+                if told is not None:
+                    self.read_bytes = end
+                    yield told
 
 
 def _records(file: BinaryIO, start: int) -> Iterator[tuple[int, Input | None]]:
@@ -112,7 +106,7 @@ def whole_inputs(path: Path, start: int = 0) -> int:
     start: the beginning of some record, to search from; 0 if the file is shorter.
     """
     with path.open("rb") as file:
-        at = start if start <= file.seek(0, os.SEEK_END) else 0
+        at = start if start <= path.stat().st_size else 0
         return max((end for end, told in _records(file, at) if told is not None), default=at)
 
 

@@ -29,6 +29,7 @@ _NOT_PLAIN = re.compile(rb"\\|[^\x20-\x7e\n]").search
 _HEADER = b'{"schema":'
 _SHOWN_BYTES = 80  # of a line that is refused
 _MAX_BYTES = 64 * 2**20  # of a line: a fence of 100,000 corners takes 4 MB
+_NO_LINE = (msgspec.DecodeError, UnicodeDecodeError, LookupError, TypeError)
 _AS_WRITTEN = "Give the journal as the companion has written it."
 
 
@@ -66,14 +67,12 @@ class Journal:
             self._read_bytes += len(text)
             self._read_lines += 1
             where = f"{self.path.name} line {self._read_lines}"
-            if text.startswith(_HEADER):
-                self.headers.append(_header(text, where))
-                yield self.headers[-1]
-            elif not self.headers:
-                rule = f'a journal begins with a header, {{"schema":"{SCHEMA}",...}}'
-                raise _refused(text, ValidationError(rule), where)
-            elif (entry := self._entry(text, where)) is not None:
-                yield entry
+            try:
+                line = self._line(text, where)
+            except _NO_LINE as error:
+                raise _refused(text, error, where) from None
+            if line is not None:
+                yield line
 
     def _whole_lines(self) -> Iterator[bytes]:
         try:
@@ -92,47 +91,40 @@ class Journal:
             rule = f"it cannot be read ({error.strerror or error})"
             raise InputError("journal", str(self.path), rule, "Give a run folder.") from error
 
-    # --- lines
+    def _line(self, text: bytes, where: str) -> Header | Entry | None:
+        """What a line says; None: an entry of a kind that is not known.  Raises one of _NO_LINE."""
+        values = msgspec.json.decode(text)
+        if _NOT_PLAIN(text) is not None:
+            values = with_printable_texts(values)
+        if text.startswith(_HEADER):
+            self.headers.append(_header(values, where))
+            return self.headers[-1]
+        if not self.headers:
+            raise ValidationError(f'a journal begins with a header, {{"schema":"{SCHEMA}",...}}')
+        kind = values["kind"]
+        if isinstance(kind, str) and kind not in KINDS:
+            self._unknown[kind] += 1
+            return None
+        return entry_of(values)
 
-    def _entry(self, text: bytes, where: str) -> Entry | None:
-        """The entry in a line; None if its kind is not known."""
-        raw = _decoded(text, where)
-        try:
-            return entry_of(raw)
-        except (ValidationError, LookupError, TypeError) as error:
-            kind = raw.get("kind") if isinstance(raw, dict) else None
-            if isinstance(kind, str) and kind not in KINDS:
-                self._unknown[kind] += 1
-                return None
-            raise _refused(text, error, where) from None
 
-
-def _header(text: bytes, where: str) -> Header:
-    """The header in a line."""
-    raw = _decoded(text, where)
+def _header(values: dict[str, Any], where: str) -> Header:
+    """A header of the schema and version that are known."""
     for field, only in (("schema", SCHEMA), ("version", VERSION)):
-        found = raw.get(field)
+        found = values.get(field)
         if type(found) is not type(only) or found != only:
             remedy = "Read it with the companion that has written it."
             raise InputError(f"{where}: {field}", found, f"only {only!r} can be read", remedy)
-    try:
-        return msgspec.convert(raw, Header)
-    except ValidationError as error:
-        raise _refused(text, error, where) from None
+    return msgspec.convert(values, Header)
 
 
 def _refused(text: bytes, error: Exception, where: str) -> InputError:
     """The error about the first rule that a line breaks."""
-    words = str(error) if isinstance(error, ValidationError) else "an entry has a known kind"
-    rule, _, path = words.partition(" - at `$")
-    field = path.strip("`.")
+    rule, field = "an entry has a known kind", ""
+    if isinstance(error, ValidationError):
+        rule, _, path = str(error).partition(" - at `$")
+        field = path.strip("`.")
+    elif isinstance(error, ValueError):
+        rule = f"it is not JSON ({error})"
     shown = text[:_SHOWN_BYTES].decode(errors="replace").rstrip("\n")
     return InputError(f"{where}{field and ': '}{field}", shown, rule, _AS_WRITTEN)
-
-
-def _decoded(text: bytes, where: str) -> Any:
-    try:
-        values = msgspec.json.decode(text)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise _refused(text, ValidationError(f"it is not JSON ({error})"), where) from None
-    return values if _NOT_PLAIN(text) is None else with_printable_texts(values)

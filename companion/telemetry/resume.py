@@ -22,9 +22,6 @@ from companion.world.known_map import KnownMap
 
 _CHECKPOINT, _MAP = "resume.json", "known.npz"
 _FLOWN = [phase.value for phase in IN_AIR]
-_KINDS = ("phase", "vehicle found", "arm", "plan asked")
-_TELLING = tuple(f'"kind":"{kind}"'.encode() for kind in _KINDS)
-_NO_ENTRY = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
 
 class ResumeData(NamedTuple):
@@ -40,21 +37,24 @@ def load_resume_data(folder: Path, mission: Mission) -> ResumeData:
     """The data of a previous companion in the run folder, as far as readable."""
     try:
         values = _values(folder, mission)
-    except FileNotFoundError:
-        has_flown = _history(folder)[0]
-        return _forgotten(folder, f"{_CHECKPOINT} is not there") if has_flown else ResumeData()
     except (OSError, ValueError) as error:
-        return _forgotten(folder, f"{_CHECKPOINT}: {_why(error)}")
+        has_flown, last = _history(folder)
+        why = f"{_CHECKPOINT}: {_why(error)}"
+        if isinstance(error, FileNotFoundError):
+            if not has_flown:
+                return ResumeData()
+            why = f"{_CHECKPOINT} is not there"
+        values = checkpoint.without_checkpoint(
+            why, system_id=last.system_id, time_s=last.t_s, plan_id=last.plan_id
+        )
+        return _without(values)
     if mission.near is not None:  # near things may have moved: their map is not kept
         return ResumeData(resume=(values, None))
     try:
-        known = known_map(folder)
-        blank = checkpoint.blank_map(mission)
+        known, blank = known_map(folder), checkpoint.blank_map(mission)
         _must_fit(known, blank)
     except (OSError, ValueError) as error:
-        values = checkpoint.without_map(values, f"{_MAP}: {_why(error)}")
-        said = tuple(checkpoint.restore_notes(values))
-        return ResumeData(resume=(values, None), said=said)
+        return _without(checkpoint.without_map(values, f"{_MAP}: {_why(error)}"))
     return ResumeData(resume=(values, known.with_what_was_given(blank)))
 
 
@@ -84,10 +84,15 @@ def _why(error: OSError | ValueError) -> str:
     return error.strerror or str(error) if isinstance(error, OSError) else str(error)
 
 
-# --- without it
+def _without(values: checkpoint.Values) -> ResumeData:
+    """What can be resumed without a map; the values say what is lost."""
+    return ResumeData(resume=(values, None), said=tuple(checkpoint.restore_notes(values)))
 
 
-class _Told(Struct):
+# --- without a checkpoint
+
+
+class _Entry(Struct):
     """What an entry of the journal tells of how far the flight had come."""
 
     kind: str
@@ -97,22 +102,14 @@ class _Told(Struct):
     plan_id: Annotated[int, Meta(ge=0, lt=2**31)] = 0
 
 
-def _forgotten(folder: Path, why: str) -> ResumeData:
-    _, system_id, time_s, plan_id = _history(folder)
-    values = checkpoint.without_checkpoint(why, system_id=system_id, time_s=time_s, plan_id=plan_id)
-    said = tuple(checkpoint.restore_notes(values))
-    return ResumeData(resume=(values, None), said=said)
-
-
-def _history(folder: Path) -> tuple[bool, int | None, float, int]:
-    """Whether it has flown, which vehicle, until when and the last plan, from lines as they are."""
-    flown, system_id, time_s, plan_id = False, None, 0.0, 0
+def _history(folder: Path) -> tuple[bool, _Entry]:
+    """Whether it has flown, and the last of all else, from the lines that can be read."""
+    has_flown, last = False, _Entry(kind="")
     with suppress(OSError), (folder / "journal.jsonl").open("rb") as file:
         for line in file:
-            if any(word in line for word in _TELLING):
-                with suppress(*_NO_ENTRY):
-                    told = msgspec.json.decode(line, type=_Told)
-                    flown |= told.kind == "arm" or told.phase in _FLOWN
-                    system_id, time_s = told.system_id or system_id, told.t_s
-                    plan_id = max(plan_id, told.plan_id)
-    return flown, system_id, time_s, plan_id
+            with suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+                entry = msgspec.json.decode(line, type=_Entry)
+                has_flown |= entry.kind == "arm" or entry.phase in _FLOWN
+                last.system_id = entry.system_id or last.system_id
+                last.t_s, last.plan_id = entry.t_s, max(entry.plan_id, last.plan_id)
+    return has_flown, last

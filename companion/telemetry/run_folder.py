@@ -21,7 +21,7 @@ import io
 import mmap
 import os
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import suppress
 from itertools import accumulate
 from pathlib import Path
@@ -130,13 +130,16 @@ class RunFolder:
         with suppress(OSError, ValueError):
             head = resume_head(self.path)
         tlog, journal, told = (self.path / name for name in _GROWING)
-        told_us = _first_stamp_us(tlog) if head is None else head.epoch_us
-        self.epoch_us = told_us or self.epoch_us
-        self._starts = _starts_of(journal)
+        self.epoch_us = self.epoch_us if head is None else head.epoch_us
         if tlog.exists():
+            if head is None:  # the log's first record tells where vehicle time began
+                first_us, _ = next(iter(Records(tlog)), (0, b""))
+                self.epoch_us = first_us if 0 < first_us < _MOST else self.epoch_us
             whole = whole_records(tlog, 0 if head is None else head.tlog_bytes)
             _cut(tlog, whole, longest_torn=LONGEST_RECORD)
         if journal.exists():
+            with journal.open("rb") as file:
+                self._starts = sum(line.startswith(b'{"schema":') for line in file)
             _cut(journal, _whole_lines(journal))
         if told.exists():
             _cut(told, inputs.whole_inputs(told, 0 if head is None else head.inputs_bytes))
@@ -238,70 +241,47 @@ def resume_head(path: Path) -> ResumeHead:
         raise ValueError(f"it is no checkpoint of a flight that can be read ({error})") from error
 
 
-def _starts_of(journal: Path) -> int:
-    """How many headers a journal has: how often a companion was started."""
-    with suppress(OSError), journal.open("rb") as file:
-        return sum(line.startswith(b'{"schema":') for line in file)
-    return 0
-
-
 def whole_records(path: Path, start: int = 0) -> int:
     """Where the last whole record of a telemetry log ends.
 
     start: where some record begins, to look no further back; 0 if the file is shorter than that.
     """
-    with Records(path, start if start <= path.stat().st_size else 0) as records:
-        while records.take() is not None:
-            pass
-        return records.end
-
-
-def _first_stamp_us(tlog: Path) -> int | None:
-    """The stamp of a log's first record: where vehicle time began, when that cannot be read."""
-    with suppress(OSError, struct.error), tlog.open("rb") as file:
-        (stamp_us,) = _STAMP.unpack(file.read(_STAMP.size))
-        return stamp_us if 0 < stamp_us < _MOST else None
-    return None
+    records = Records(path, start if start <= path.stat().st_size else 0)
+    for _ in records:
+        pass
+    return records.end
 
 
 @final
 class Records:
-    """The records of a telemetry log of ours, one by one, to the last whole one.
+    """The records of a telemetry log of ours, to the last whole one: stamp (microseconds), frame.
 
-    It goes on where it was once the log has grown.  A log of a long flight is larger than the
-    memory of a small computer: it is read in portions.
+    Who iterates again gets what has been recorded since.  A log of a long flight is larger than
+    the memory of a small computer: it is read in portions.
     """
 
     def __init__(self, path: Path, start: int = 0) -> None:
         """start: where some record begins."""
+        self.path = path
         self.end = start
         """Where in the file the last record that was taken ends."""
-        self._file = path.open("rb")
-        self._file.seek(start)
-        self._data, self._at = b"", 0
 
-    def take(self) -> tuple[int, bytes] | None:
-        """The next one: microseconds since 1970, frame; None: it is not whole, or not there."""
-        if len(self._data) - self._at < LONGEST_RECORD:
-            self._data, self._at = self._data[self._at :] + self._file.read(_PORTION), 0
-        data, begin = self._data, self._at + _STAMP.size
-        is_frame = begin < len(data) and data[begin] in (V1, V2)
-        end = frame_extent(data, begin)[0] if is_frame else len(data) + 1
-        if end > len(data):
-            return None
-        (stamp_us,) = _STAMP.unpack_from(data, self._at)
-        self.end, self._at = self.end + end - self._at, end
-        return stamp_us, data[begin:end]
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def __iter__(self) -> Generator[tuple[int, bytes]]:
+        with self.path.open("rb") as file:
+            file.seek(self.end)
+            data, at = b"", 0
+            while True:
+                if len(data) - at < LONGEST_RECORD:
+                    data, at = data[at:] + file.read(_PORTION), 0
+                begin = at + _STAMP.size
+                is_frame = begin < len(data) and data[begin] in (V1, V2)
+                end = frame_extent(data, begin)[0] if is_frame else len(data) + 1
+                if end > len(data):
+                    return
+                (stamp_us,) = _STAMP.unpack_from(data, at)
+                self.end += end - at
+                at = end
+                yield stamp_us, data[begin:end]
 
 
 def _whole_lines(path: Path) -> int:

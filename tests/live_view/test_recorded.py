@@ -3,7 +3,6 @@
 import math
 import shutil
 from collections.abc import Iterator
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -45,10 +44,9 @@ def run_dir(flight: tuple[Path, Session]) -> Path:
 
 
 @pytest.fixture
-def recording(run_dir: Path) -> Iterator[Recording]:
+def recording(run_dir: Path) -> Recording:
     """What was recorded, all of it."""
-    with closing(Recording(run_dir)) as found:
-        yield found
+    return Recording(run_dir)
 
 
 @pytest.fixture(scope="module")
@@ -81,23 +79,23 @@ def test_a_flight_that_grows_is_read_like_one_that_is_over(
     for name in GROWING:
         (tmp_path / name).touch()
     replica, at_once = Replica(tmp_path), advanced(Replica(run_dir))
-    with closing(Recording(tmp_path)) as growing:
-        for piece in range(PIECES + 1):
-            for name in GROWING:
-                (tmp_path / name).write_bytes(data[name][: len(data[name]) * piece // PIECES])
-            growing.read()
-            advanced(replica)
-        assert growing.events == recording.events
-        for name in ("times_s", "places_nea_m"):
-            same = getattr(recording.flight, name)
-            assert np.array_equal(getattr(growing.flight, name), same)
-        assert replica.ended is None
-        times_s = recording.flight.times_s
-        for time_s in times_s[:: len(times_s) // 50].tolist():
-            ground, same = (
-                ground_at(*each, time_s) for each in ((replica, growing), (at_once, recording))
-            )
-            assert (ground and ground.height_m.tobytes()) == (same and same.height_m.tobytes())
+    growing = Recording(tmp_path)
+    for piece in range(PIECES + 1):
+        for name in GROWING:
+            (tmp_path / name).write_bytes(data[name][: len(data[name]) * piece // PIECES])
+        growing.read()
+        advanced(replica)
+    assert growing.events == recording.events
+    for name in ("times_s", "places_nea_m"):
+        same = getattr(recording.flight, name)
+        assert np.array_equal(getattr(growing.flight, name), same)
+    assert replica.ended is None
+    times_s = recording.flight.times_s
+    for time_s in times_s[:: len(times_s) // 50].tolist():
+        ground, same = (
+            ground_at(*each, time_s) for each in ((replica, growing), (at_once, recording))
+        )
+        assert (ground and ground.height_m.tobytes()) == (same and same.height_m.tobytes())
 
 
 def test_the_ground_is_what_the_flight_knew(

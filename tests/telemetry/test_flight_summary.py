@@ -1,5 +1,6 @@
 """What is shown of a flight is what the vehicle said, as other programs read its messages."""
 
+import itertools
 import math
 import random
 from collections.abc import Iterator
@@ -39,14 +40,6 @@ def flights(name: str) -> Iterator[tuple[FlightSummary, dict[str, Any]]]:
             yield flown, newest
 
 
-def to_target_m(flown: FlightSummary, position: Any) -> float:
-    """By the geodesy of the other program."""
-    frame, state = flown.session.mission.frame, flown.session.state
-    theirs = LocalFrame(latitude_deg=frame.latitude_deg, longitude_deg=frame.longitude_deg)
-    here = theirs.to_local(position.lat * 1e-7, position.lon * 1e-7)
-    return math.dist(here, state.targets_ne_m[state.flight.target])
-
-
 def test_it_is_what_the_messages_say_and_whole_as_json() -> None:
     seen: list[FlightStatus] = []
     for flown, newest in flights("copter-loses-gps"):
@@ -54,7 +47,8 @@ def test_it_is_what_the_messages_say_and_whole_as_json() -> None:
         assert msgspec.json.decode(msgspec.json.encode(it), type=FlightStatus) == it
         if position is None or it.latitude_deg is None or not newest.get("SYS_STATUS"):
             continue
-        state = flown.session.state
+        state, frame = flown.session.state, flown.session.mission.frame
+        theirs = LocalFrame(latitude_deg=frame.latitude_deg, longitude_deg=frame.longitude_deg)
         if state.vehicle.position_at_s * 1e3 != pytest.approx(position.time_boot_ms):
             continue  # the newest has not been handled yet
         assert it.latitude_deg == pytest.approx(position.lat * 1e-7, abs=1e-6)
@@ -66,7 +60,9 @@ def test_it_is_what_the_messages_say_and_whole_as_json() -> None:
         left = newest["SYS_STATUS"].battery_remaining
         assert 100.0 * (it.battery_left or 0.0) == pytest.approx(left)
         assert it.armed == bool(newest["HEARTBEAT"].base_mode & 128)
-        assert it.to_go_m == pytest.approx(to_target_m(flown, position), rel=1e-4, abs=0.1)
+        here = theirs.to_local(position.lat * 1e-7, position.lon * 1e-7)
+        to_go_m = math.dist(here, state.targets_ne_m[state.flight.target])
+        assert it.to_go_m == pytest.approx(to_go_m, rel=1e-4, abs=0.1)
         if state.phase is Phase.FLYING and it.time_left_s is not None:
             way_m = it.time_left_s * flown.session.mission.task.limits.speed_m_s
             assert way_m > 0.999 * it.to_go_m
@@ -110,13 +106,9 @@ def test_a_plane_is_told_what_it_passed_its_last_target_at_not_where_it_circles(
     assert it.to_go_m == pytest.approx(32.6)  # horizontal
 
 
-@pytest.mark.parametrize("airborne", [False, True])
-@pytest.mark.parametrize("shadow", [False, True])
-def test_only_a_flight_that_nobody_has_decided_to_end_in_the_air_may_go_on(
-    airborne: bool, shadow: bool
-) -> None:
+def test_only_a_flight_that_nobody_has_decided_to_end_in_the_air_may_go_on() -> None:
     """And none that was only watched."""
-    for reason in Reason:
+    for reason, airborne, shadow in itertools.product(Reason, (False, True), (False, True)):
         it = FlightSummary(session=Session(MISSION, seed=1, lockstep=True, shadow=shadow))
         it.session.state = replace(it.session.state, reason=reason, airborne=airborne)
         in_flight = airborne and not shadow

@@ -14,26 +14,34 @@ from companion.mission.journal import KINDS, VERSION
 from companion.telemetry.journal import Journal
 
 ROOT = Path(__file__).parents[2]
-HEADER: dict[str, Any] = {
-    "schema": "companion-journal",
-    "version": VERSION,
-    "mission": "hills",
-    "seed": 1,
-    "profile": "flight",
-    "lockstep": True,
-}
+HEADER: dict[str, Any] = {"schema": "companion-journal", "version": VERSION, "mission": "hills"}
+HEADER |= {"seed": 1, "profile": "flight", "lockstep": True}
 LEG = {"t_s": 3.5, "kind": "leg", "number": 1}
+SCAN = {"t_s": 1.0, "kind": "scan", "centre_nea_m": [1.0, 2.0], "blocks": 3}
+REFUSED: list[tuple[list[Any], str]] = [
+    ([LEG], r"line 1 = .*: a journal begins with a header"),
+    ([{**HEADER, "version": VERSION - 1}], r"line 1: version = 2: only 3 can be read"),
+    ([{**HEADER, "version": True}], r"line 1: version = True: only 3 can be read"),
+    ([{**HEADER, "schema": "x"}], r"schema = 'x': only 'companion-journal' can be read"),
+    ([{k: HEADER[k] for k in ("schema", "version")}], r"1 = .* missing .* field `mission`"),
+    ([b'{"schema":\n'], r"line 1 = '\{\"schema\":': it is not JSON"),
+    ([HEADER, b"\xff\xfe\n"], r"line 2 = .*: it is not JSON"),
+    ([HEADER, LEG, [1]], r"line 3 = '\[1\]': an entry has a known kind"),
+    ([HEADER, {"kind": "leg", "number": 1}], r"line 2 = .* missing required field `t_s`"),
+    ([HEADER, SCAN], r"line 2: centre_nea_m = .*: Expected `array` of length 3, got 2"),
+    ([HEADER, {"t_s": 1.0, "kind": "say", "text": "x" * 5000, "warning": 7}], r"warning = .*: "),
+    ([bytes(65 * 2**20)], r"a line has no end within 64 MB"),
+]
 
 
 def written(folder: Path, *lines: Any) -> Journal:
     """A journal of these lines; bytes as they are, anything else as JSON."""
     file = folder / "journal.jsonl"
-    file.write_bytes(b"".join(each if isinstance(each, bytes) else line(each) for each in lines))
+    texts = (
+        each if isinstance(each, bytes) else msgspec.json.encode(each) + b"\n" for each in lines
+    )
+    file.write_bytes(b"".join(texts))
     return Journal(file)
-
-
-def line(value: Any) -> bytes:
-    return json.dumps(value, separators=(",", ":")).encode() + b"\n"
 
 
 def test_a_flight_is_read_and_written_again_with_the_same_values(run_dir: Path) -> None:
@@ -75,46 +83,16 @@ def test_reading_stops_at_the_last_whole_line_wherever_it_was_cut(tmp_path: Path
         torn = length - max([0, *kept])
         said = f"journal.jsonl: the last line is not whole ({torn} bytes): left out"
         assert journal.findings == ((said,) if torn else ())
-    never_written = bytes(4096)  # a block of the disk
-    assert len(list(written(tmp_path, HEADER, LEG, never_written).entries())) == 1
-
-
-SCAN = {"t_s": 1.0, "kind": "scan", "centre_nea_m": [1.0, 2.0], "blocks": 3}
-SCHEMA = HEADER["schema"]
-REFUSED: list[tuple[list[Any], str]] = [
-    ([LEG], r"line 1 = .*: a journal begins with a header"),
-    ([{**HEADER, "version": VERSION - 1}], r"line 1: version = 2: only 3 can be read"),
-    ([{**HEADER, "version": True}], r"line 1: version = True: only 3 can be read"),
-    ([{**HEADER, "schema": "x"}], r"schema = 'x': only 'companion-journal' can be read"),
-    ([{"schema": SCHEMA, "version": VERSION}], r"1 = .* missing .* field `mission`"),
-    ([b'{"schema":\n'], r"line 1 = '\{\"schema\":': it is not JSON"),
-    ([HEADER, b"\xff\xfe\n"], r"line 2 = .*: it is not JSON"),
-    ([HEADER, LEG, [1]], r"line 3 = '\[1\]': an entry has a known kind"),
-    ([HEADER, {"kind": "leg", "number": 1}], r"line 2 = .* missing required field `t_s`"),
-    ([HEADER, SCAN], r"line 2: centre_nea_m = .*: Expected `array` of length 3, got 2"),
-    ([HEADER, {"t_s": 1.0, "kind": "say", "text": "x" * 5000, "warning": 7}], r"warning = .*: "),
-]
 
 
 @pytest.mark.parametrize(("lines", "words"), REFUSED, ids=range(len(REFUSED)))
 def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, lines: list[Any], words: str) -> None:
     with pytest.raises(InputError, match=words) as caught:
         list(written(tmp_path, *lines).entries())
-    text = str(caught.value)
-    assert "\n" not in text
-    assert len(text) < 600
-
-
-def test_what_is_no_journal_is_refused_and_not_kept_in_memory(tmp_path: Path) -> None:
-    endless = tmp_path / "endless"
-    with endless.open("wb") as out:
-        out.truncate(200 * 2**20)  # zeros that take no room
-    for path, rule in {
-        tmp_path: "it cannot be read (Is a directory)",
-        endless: "a line has no end within 64 MB",
-    }.items():
-        with pytest.raises(InputError, match=re.escape(rule)):
-            list(Journal(path).entries())
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 600
+    with pytest.raises(InputError, match=r"it cannot be read \(Is a directory\)"):
+        list(Journal(tmp_path).entries())
 
 
 def test_kinds_that_are_not_known_are_counted_and_fields_passed_over(tmp_path: Path) -> None:

@@ -168,7 +168,7 @@ def write_kml(flight: Flight, file: Path) -> None:
         undefined=StrictUndefined,
         trim_blocks=True,
     )
-    documents.filters |= {"printable": _printable, "utc": shapes.utc_text, "rows": _rows}
+    documents.filters |= {"utc": shapes.utc_text, "rows": _rows}
     parts = documents.get_template("flight.kml.j2").generate(
         name=flight.mission.name,
         styles=_STYLES,
@@ -196,10 +196,6 @@ def _style(each: Feature) -> str:
     """Its name among `_STYLES`; empty: Google Earth's own."""
     names = (f"phase-{each.name}", each.kind) if each.kind == "track" else (each.kind,)
     return next((name for name in names if name in _STYLES), "")
-
-
-def _printable(text: object) -> str:
-    return "".join(c if c.isprintable() or c in "\n\t" else " " for c in str(text))
 
 
 def _rows(points: FloatArray, between: str = ",") -> list[str]:

@@ -6,6 +6,7 @@ from typing import Final, TypeVar, final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from companion.geodesy import BoolArray, FloatArray, LocalFrame
 from companion.mission.events import Vector
@@ -18,7 +19,7 @@ Number = TypeVar("Number", bound=np.generic)
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _CURVE_POINTS = 2000
 _CURVE_ERROR_M = 0.25  # a hand's breadth off the curve, which nobody sees
-_CHORD_M, _MAX_CHORDS = 5.0, 400
+_POINT_EVERY_M, _MAX_POINTS = 0.1, 20_000  # a vehicle is that near to its path
 _CIRCLE_POINTS, _BALL_RINGS = 72, 13
 
 
@@ -100,22 +101,15 @@ def highest(values: NDArray[Number], step: int) -> NDArray[Number]:
 
 
 @final
-class Chords:
-    """A subpath as chords, from which distances are soon told."""
+class SubpathPoints:
+    """A subpath as many points, from which distances are soon told."""
 
     def __init__(self, subpath: Subpath) -> None:
-        count = min(max(math.ceil(subpath.length_m / _CHORD_M), 1), _MAX_CHORDS)
+        count = min(max(math.ceil(subpath.length_m / _POINT_EVERY_M), 1), _MAX_POINTS)
         self._lengths_m = np.linspace(0.0, subpath.length_m, count + 1)
-        points = subpath.points_nea_m(self._lengths_m)
-        self._starts, self._along = points[:-1], np.diff(points, axis=0)
-        self._squares = np.maximum(np.einsum("sk,sk->s", self._along, self._along), 1e-12)
+        self._tree = cKDTree(subpath.points_nea_m(self._lengths_m))
 
     def nearest(self, place_nea_m: Vector | FloatArray) -> tuple[float, float]:
         """Distance of a place from the subpath, and the length along it where it is nearest."""
-        to = np.asarray(place_nea_m) - self._starts  # (S, 3)
-        share = np.clip(np.einsum("sk,sk->s", to, self._along) / self._squares, 0.0, 1.0)
-        rest = to - share[:, None] * self._along
-        squares = np.einsum("sk,sk->s", rest, rest)
-        k = int(squares.argmin())
-        step_m = self._lengths_m[k + 1] - self._lengths_m[k]
-        return math.sqrt(float(squares[k])), float(self._lengths_m[k] + share[k] * step_m)
+        away_m, at = self._tree.query(np.asarray(place_nea_m))
+        return float(away_m), float(self._lengths_m[at])

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Final
 
 from companion.errors import InputError
-from companion.telemetry.logs.log import HOW_TO_RECORD, Kind, Log, Odd, Record
+from companion.telemetry.logs.log import HOW_TO_RECORD, Log, Odd, Record
 
-__all__ = ["HOW_TO_RECORD", "Kind", "Log", "Odd", "Record", "open_log"]
+__all__ = ["HOW_TO_RECORD", "Log", "Odd", "Record", "open_log"]
 
 _KINDS: Final = "Give a .tlog of MAVLink frames, an ArduPilot .bin or a PX4 .ulg."
 _OTHERS: Final = {
@@ -31,32 +31,34 @@ def open_log(path: Path, *, system_id: int | None = None) -> Log:
     is.  The whole file is scanned once.
     """
     try:
-        return _opened(path, system_id)
+        if not path.is_file():
+            raise InputError("log", str(path), "there is no file of that name", _KINDS)
+        with path.open("rb") as file:
+            head = file.read(8)
+        log = _opened(path, head) if head else None
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the path
         why = getattr(error, "strerror", None) or str(error)
         raise InputError("log", str(path), f"it cannot be read: {why}", "Look at it.") from error
+    if log is None:
+        words = next(words for begins, words in _OTHERS.items() if head.startswith(begins))
+        raise InputError("log", str(path), *words)
+    log.choose(system_id)
+    return log
 
 
-def _opened(path: Path, system_id: int | None) -> Log:
-    if not path.is_file():
-        raise InputError("log", str(path), "there is no file of that name", _KINDS)
-    with path.open("rb") as file:
-        head = file.read(8)
+def _opened(path: Path, head: bytes) -> Log | None:
+    """The log, by its first bytes; the libraries of the others are not loaded."""
     log = None
     if head.startswith(b"\xa3\x95\x80"):
-        from companion.telemetry.logs import dataflash  # a second, for pymavlink's own dialects
+        from companion.telemetry.logs import dataflash
 
-        log = dataflash.opened(path, system_id)
+        log = dataflash.opened(path)
     elif head.startswith(b"ULog\x01\x12\x35"):
         from companion.telemetry.logs import ulog
 
-        log = ulog.opened(path, system_id)
+        log = ulog.opened(path)
     if log is None:
         from companion.telemetry.logs import tlog
 
-        log = tlog.opened(path, system_id)
-    if log is None:
-        raise InputError(
-            "log", str(path), *next(w for h, w in _OTHERS.items() if head.startswith(h))
-        )
+        log = tlog.opened(path)
     return log

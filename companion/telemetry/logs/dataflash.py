@@ -17,24 +17,17 @@ from pymavlink import DFReader
 
 from companion.mavlink.dialect import Message, wire
 from companion.telemetry.logs import made
-from companion.telemetry.logs.log import (
-    YEAR_2000_US,
-    YEAR_2100_US,
-    Log,
-    Odd,
-    Record,
-    chosen,
-    earliest,
-)
+from companion.telemetry.logs.log import YEAR_2000_US, YEAR_2100_US, Log, Odd, Record, earliest
 from companion.telemetry.logs.made import Row, Values, direction, whole, wired
 
-_ROWS: Final = frozenset(
+_LOOKED_AT: Final = frozenset(("GPS", "MSG", "PARM", "VER"))
+"""Names of the entries that tell of the whole log, beforehand."""
+_TRANSLATED: Final = frozenset(
     (
         *("ARM", "ATT", "BAT", "DSF", "ERR", "EV", "GPS", "MODE", "MSG"),
         *("ORGN", "PARM", "POS", "STAT", "XKF1", "XKF4"),
     )
 )
-"""Names of the entries that are translated, and of the one that tells what was lost."""
 _MAGIC: Final = b"\xa3\x95"
 _LONGEST: Final = 255
 """Bytes of an entry."""
@@ -101,27 +94,36 @@ def _rows(path: Path, odd: Counter[Odd], wanted: Collection[str]) -> Iterator[Ro
                     continue
                 if entry is None:
                     break
-                name, begin = entry.fmt.name, log.offset - entry.fmt.len
+                begin = log.offset - entry.fmt.len
                 odd[Odd.GARBAGE] += max(begin - end, 0)
                 end = log.offset
                 if not _MAGIC.startswith(log.data_map[end : end + 2]):
                     odd[Odd.DAMAGED] += 1
                     log.offset = end = begin + len(_MAGIC)
-                    continue
-                if name in wanted:
+                elif entry.fmt.name in wanted:
                     try:
                         values = entry.to_dict()
                     except (TypeError, ValueError, IndexError):
                         odd[Odd.DAMAGED] += 1
                         continue
                     time_us = values.get("TimeUS")
-                    yield Row(name, time_us if type(time_us) is int else None, values)
+                    yield Row(entry.fmt.name, time_us if type(time_us) is int else None, values)
             odd[Odd.CUT_SHORT if size - end < _LONGEST else Odd.GARBAGE] += size - end
         finally:
             log.close()
 
 
 # --- the first look
+
+
+def opened(path: Path) -> Log | None:
+    """A .bin; None: nothing of use is in it.  InputError: it is of firmware before 4.0."""
+    look = _Look(path)
+    made.refuse_older(path, "ArduPilot", look.version, _OLDEST)
+    if not look.times_us:
+        return None
+    autopilots = {look.system_id: int(wire.MAV_AUTOPILOT_ARDUPILOTMEGA)}
+    return Log(kind="bin", path=path, autopilots=autopilots, read=partial(_records, look))
 
 
 @final
@@ -132,12 +134,13 @@ class _Look:
         self.system_id = 1
         """ArduPilot's default, until a parameter says otherwise."""
         self.epoch_us: int | None = None
-        self.version: tuple[int, int] | None = None
+        self.version = _OLDEST
+        """Unless a greeting says otherwise."""
         self.mav_type: int | None = None
         """None: nothing tells."""
         self.times_us: list[int] = []
         """Of the first entries."""
-        for row in _rows(path, Counter(), {"GPS", "MSG", "PARM", "VER"}):
+        for row in _rows(path, Counter(), _LOOKED_AT):
             if row.time_us is not None and len(self.times_us) < _SAMPLE:
                 self.times_us.append(row.time_us)
             with suppress(KeyError, TypeError, ValueError, OverflowError):
@@ -153,11 +156,10 @@ class _Look:
                     self.system_id = int(values["Value"])
             case "VER" | "MSG" if self.mav_type is None:
                 text = values["FWS" if row.name == "VER" else "Message"]
-                if self.version is None and (found := _VERSION.match(text)) is not None:
+                if (found := _VERSION.match(text)) is not None:
                     self.version = int(found[1]), int(found[2])
-                self.mav_type = next(
-                    (mav for word, mav in _VEHICLES.items() if text.startswith(word)), None
-                )
+                kinds = (mav for word, mav in _VEHICLES.items() if text.startswith(word))
+                self.mav_type = next(kinds, None)
 
 
 def _epoch_us(row: Row) -> int | None:
@@ -170,53 +172,21 @@ def _epoch_us(row: Row) -> int | None:
     return epoch_us if YEAR_2000_US <= epoch_us < YEAR_2100_US else None
 
 
-def opened(path: Path, system_id: int | None) -> Log | None:
-    """A .bin; None: nothing of use is in it.  InputError: of firmware before 4.0, or not whose."""
-    look = _Look(path)
-    made.refuse_older(path, "ArduPilot", look.version, _OLDEST)
-    if not look.times_us:
-        return None
-    return Log(
-        kind="bin",
-        path=path,
-        systems=(look.system_id,),
-        system_id=chosen(path, (look.system_id,), system_id),
-        autopilot=int(wire.MAV_AUTOPILOT_ARDUPILOTMEGA),
-        read=partial(_records, look),
-    )
-
-
 # --- what it says
 
 
 def _records(look: _Look, log: Log) -> Iterator[Record]:
     log.odd[Odd.NO_KIND] = int(look.mav_type is None)
-    return made.made(
-        log,
-        _told(log),
-        _Messages(look).of,
-        epoch_us=look.epoch_us,
-        start_us=earliest(look.times_us),
-    )
-
-
-def _told(log: Log) -> Iterator[Row]:
-    """What is translated; what the logger could not write (DSF.Dp) is counted."""
-    for row in _rows(log.path, log.odd, _ROWS):
-        lost = row.values.get("Dp")
-        if row.name != "DSF":
-            yield row
-        elif isinstance(lost, int) and lost > log.odd[Odd.LOST_ENTRIES]:
-            log.odd[Odd.LOST_ENTRIES] = lost
+    rows = _rows(log.path, log.odd, _TRANSLATED)
+    return made.made(log, rows, _Vehicle(look, log.odd), earliest(look.times_us))
 
 
 @final
-class _Messages:
-    """The messages of the entries of one pass, from first to last."""
+class _Vehicle:
+    """The vehicle in one pass, from first to last."""
 
-    def __init__(self, look: _Look) -> None:
-        self._mav_type, self._epoch_us = look.mav_type, look.epoch_us
-        self._is_due = made.Pace().is_due
+    def __init__(self, look: _Look, odd: Counter[Odd]) -> None:
+        self.epoch_us, self._mav_type, self._odd = look.epoch_us, look.mav_type, odd
         self._mode: int | None = None
         self._armed, self._landed = False, wire.MAV_LANDED_STATE_UNDEFINED
         self._failsafes: set[int] = set()
@@ -226,18 +196,10 @@ class _Messages:
         self._yaw_deg = math.nan
         self._texts = 0
 
-    def of(self, name: str, values: Values, boot_us: int) -> Iterator[Message]:
-        """Messages of one entry."""
-        before = self._mode, self._armed, bool(self._failsafes), self._landed
-        yield from self._of(name, values, boot_us)
-        changed = before != (self._mode, self._armed, bool(self._failsafes), self._landed)
-        if self._is_due("heartbeat", boot_us) or changed:
-            yield from self._state()
-        if self._is_due("clock", boot_us):
-            yield made.system_time(self._epoch_us, boot_us)
-
-    def _of(self, name: str, values: Values, boot_us: int) -> Iterator[Message]:
-        match name:
+    def messages(self, row: Row, boot_us: int) -> Iterator[Message]:
+        """What it would have sent of an entry."""
+        values = row.values
+        match row.name:
             case "MODE":
                 self._mode = int(values["ModeNum"])
             case "ARM":
@@ -255,33 +217,41 @@ class _Messages:
                 velocity = (values["VN"], values["VE"], values["VD"])
                 self._velocities[values.get("C", 0)] = (boot_us, *velocity)
             case "XKF4":
-                yield from self._estimator(values, boot_us)
+                self._core = max(values.get("PI", 0), 0)
+                if values.get("C", 0) == self._core:
+                    yield _estimator(values)
             case "ATT":
                 self._yaw_deg = values["Yaw"]
-            case "POS":
-                yield from self._position(values, boot_us)
+            case "POS" if self._core in self._velocities:
+                if boot_us - self._velocities[self._core][0] <= _FRESH_US:
+                    yield self._position(values, boot_us)
             case "ORGN" if values["Type"] == 0:
-                yield wire.MAVLink_gps_global_origin_message(*wired(_place(values)), boot_us)
+                yield wire.MAVLink_gps_global_origin_message(*_wired(values), boot_us)
             case "ORGN" if values["Type"] == 1:
                 level = [1.0, 0.0, 0.0, 0.0]
-                told = (*wired(_place(values)), 0, 0, 0, level, 0, 0, 0, boot_us)
+                told = (*_wired(values), 0, 0, 0, level, 0, 0, 0, boot_us)
                 yield wire.MAVLink_home_position_message(*told)
             case "GPS" if values.get("I", 0) == 0:
-                yield self._gps(values, boot_us)
+                yield _gps(values, boot_us)
             case "BAT" if values.get("Inst", values.get("Instance", values.get("I", 0))) == 0:
-                if self._is_due("battery", boot_us):
-                    percent = values.get("RemPct", -1)
-                    percent = percent if 0 <= percent <= 100 else -1
-                    yield made.battery(values["Volt"], values.get("Curr", 0.0), percent)
+                percent = values.get("RemPct", -1)
+                percent = percent if 0 <= percent <= 100 else -1
+                yield made.battery(values["Volt"], values.get("Curr", 0.0), percent)
             case "PARM":
                 yield made.parameter(values["Name"], values["Value"])
             case "MSG":
                 self._texts = self._texts % 0xFFFF + 1
                 yield from made.texts(values["Message"], wire.MAV_SEVERITY_INFO, self._texts)
+            case "DSF":  # what the logger could not write, in all
+                self._odd[Odd.LOST_ENTRIES] = max(self._odd[Odd.LOST_ENTRIES], values["Dp"])
             case _:
                 return  # of another receiver, battery or subsystem
 
-    def _state(self) -> Iterator[Message]:
+    def shown(self) -> tuple[int | None, bool, bool, int]:
+        """What is told at once when it changes."""
+        return self._mode, self._armed, bool(self._failsafes), self._landed
+
+    def state(self) -> Iterator[Message]:
         """HEARTBEAT and EXTENDED_SYS_STATE."""
         status = wire.MAV_STATE_ACTIVE
         if self._failsafes:
@@ -295,42 +265,35 @@ class _Messages:
         if self._landed != wire.MAV_LANDED_STATE_UNDEFINED:
             yield made.ground(self._landed)
 
-    def _position(self, values: Values, boot_us: int) -> Iterator[Message]:
-        """GLOBAL_POSITION_INT; none without a velocity of the same moment."""
-        velocity = self._velocities.get(self._core)
-        if velocity is None or boot_us - velocity[0] > _FRESH_US:
-            return
-        if self._is_due("position", boot_us):
-            yield wire.MAVLink_global_position_int_message(
-                made.boot_ms(boot_us),
-                *(*wired(_place(values)), round(values.get("RelHomeAlt", 0.0) * 1e3)),
-                *(round(each * 100) for each in velocity[1:]),
-                direction(self._yaw_deg),
-            )
-
-    def _gps(self, values: Values, boot_us: int) -> Message:
-        """GPS_RAW_INT."""
-        speed_cm_s = whole(values["Spd"] * 100, 0, 65535)
-        return wire.MAVLink_gps_raw_int_message(
-            *(boot_us, values["Status"], *wired(_place(values))),
-            *(whole(values["HDop"] * 100, 0, 65535), 65535),
-            *(speed_cm_s, direction(values["GCrs"]), values["NSats"]),
+    def _position(self, values: Values, boot_us: int) -> Message:
+        """GLOBAL_POSITION_INT, with the newest velocity."""
+        return wire.MAVLink_global_position_int_message(
+            made.boot_ms(boot_us),
+            *(*_wired(values), round(values.get("RelHomeAlt", 0.0) * 1e3)),
+            *(round(each * 100) for each in self._velocities[self._core][1:]),
+            direction(self._yaw_deg),
         )
 
-    def _estimator(self, values: Values, boot_us: int) -> Iterator[Message]:
-        """EKF_STATUS_REPORT of the primary core's XKF4."""
-        self._core = max(values.get("PI", 0), 0)
-        if values.get("C", 0) != self._core or not self._is_due("estimator", boot_us):
-            return
-        status = values["SS"]
-        flags = status & _SAME | (wire.EKF_GPS_GLITCHING if status & _GLITCHING else 0)
-        if not status & (_INITIALISED if status >= _INITIALISED else wire.EKF_ATTITUDE):
-            flags |= wire.EKF_UNINITIALIZED
-        variances = (values["SV"], values["SP"], values["SH"], values["SM"], 0.0)
-        airspeed = values["SVT"]
-        yield wire.MAVLink_ekf_status_report_message(flags, *variances, airspeed_variance=airspeed)
+
+def _estimator(values: Values) -> Message:
+    """EKF_STATUS_REPORT."""
+    status = values["SS"]
+    flags = status & _SAME | (wire.EKF_GPS_GLITCHING if status & _GLITCHING else 0)
+    if not status & (_INITIALISED if status >= _INITIALISED else wire.EKF_ATTITUDE):
+        flags |= wire.EKF_UNINITIALIZED
+    variances = (values["SV"], values["SP"], values["SH"], values["SM"], 0.0, values["SVT"])
+    return wire.MAVLink_ekf_status_report_message(flags, *variances)
 
 
-def _place(values: Values) -> tuple[float, float, float]:
-    """Latitude, longitude in degrees, and altitude in metres."""
-    return values["Lat"], values["Lng"], values["Alt"]
+def _gps(values: Values, boot_us: int) -> Message:
+    """GPS_RAW_INT."""
+    return wire.MAVLink_gps_raw_int_message(
+        *(boot_us, values["Status"], *_wired(values)),
+        *(whole(values["HDop"] * 100, 0, 65535), 65535, whole(values["Spd"] * 100, 0, 65535)),
+        *(direction(values["GCrs"]), values["NSats"]),
+    )
+
+
+def _wired(values: Values) -> tuple[int, int, int]:
+    """The place of an entry, as on the wire."""
+    return wired((values["Lat"], values["Lng"], values["Alt"]))

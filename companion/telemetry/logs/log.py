@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Final, Literal, NamedTuple, final
 
 from companion.errors import InputError
-from companion.mavlink.autopilots import ALL
 from companion.mavlink.dialect import KINDS, wire
 from companion.mavlink.link import TO_COMPONENT_1, ids_in_words
 
@@ -59,21 +58,16 @@ class Odd(enum.StrEnum):
         "no estimator_status"
     )
 
-    def said(self, count: int) -> str:
-        """The text."""
-        return self.value.format(f"{count:,}")
 
+# --- a log, opened
 
-# --- what the companion needs
-
-Kind = Literal["tlog", "bin", "ulg"]
-_ESTIMATOR: Final = "whether its estimator may be believed"
+HOW_TO_RECORD: Final = "What to record, and how: docs/logs.md"
 _NEEDED: Final = {
     "HEARTBEAT": "which autopilot it is, its mode and whether it is armed",
     "GLOBAL_POSITION_INT": "where the vehicle is: nothing is planned",
     "GPS_RAW_INT": "whether its GPS has a fix",
-    "EKF_STATUS_REPORT": _ESTIMATOR,
-    "ESTIMATOR_STATUS": _ESTIMATOR,
+    "EKF_STATUS_REPORT": "whether its estimator may be believed",
+    "ESTIMATOR_STATUS": "whether its estimator may be believed",
     "EXTENDED_SYS_STATE": "whether it stands on the ground",
     "HOME_POSITION": "where home is, and how high",
     "GPS_GLOBAL_ORIGIN": "what its local frame is measured from",
@@ -82,10 +76,11 @@ _NEEDED: Final = {
     "STATUSTEXT": "what it said",
 }
 """What is impossible without a message; without the first five it does not fly."""
-HOW_TO_RECORD: Final = "What to record, and how: docs/logs.md"
-
-
-# --- a log, opened
+_NOT_SENT: Final = {
+    wire.MAV_AUTOPILOT_ARDUPILOTMEGA: "ESTIMATOR_STATUS",
+    wire.MAV_AUTOPILOT_PX4: "EKF_STATUS_REPORT",
+}
+"""By MAV_AUTOPILOT: that of the other one, which is not missed."""
 
 
 @final
@@ -93,42 +88,59 @@ HOW_TO_RECORD: Final = "What to record, and how: docs/logs.md"
 class Log:
     """A log of any kind, opened."""
 
-    kind: Kind
+    kind: Literal["tlog", "bin", "ulg"]
     """tlog: MAVLink frames; bin: ArduPilot's own log; ulg: PX4's own."""
     path: Path
-    systems: tuple[int, ...]
-    """System ids of all autopilots in it."""
-    system_id: int | None
-    """The vehicle that is read; None: there is no heartbeat of an autopilot in it."""
-    autopilot: int | None
-    """MAV_AUTOPILOT; None: nothing tells."""
+    autopilots: dict[int, int]
+    """MAV_AUTOPILOT by system id, of all autopilots in it."""
     read: Callable[["Log"], Iterator[Record]]
     """One pass through it: notes in the log how far it is, what is odd and what it heard."""
     elsewhere: frozenset[tuple[int, int]] = frozenset()
     """System and component of what sends an autopilot's heartbeat and is not component 1."""
+    system_id: int | None = None
+    """The vehicle that is read; None: there is no heartbeat of an autopilot in it."""
     odd: Counter[Odd] = field(default_factory=Counter)
     """How often each oddity was met, as far as `records` has come."""
     heard: set[int] = field(default_factory=set)
     """Message numbers of the autopilot, likewise."""
 
+    def choose(self, asked: int | None) -> None:
+        """Select the vehicle that is asked for; None: the only one.  InputError if it is not."""
+        those = ", ".join(map(str, self.systems))
+        if asked is None and len(self.systems) > 1:
+            rule = f"several vehicles are in it, systems {those}"
+            raise InputError("log", str(self.path), rule, "Choose one with --system.")
+        self.system_id = next(iter(self.systems), None) if asked is None else asked
+        if asked is None or asked in self.systems:
+            return
+        rule = f"there is no such vehicle in {self.path.name}"
+        if of_it := sorted(each for each in self.elsewhere if each[0] == asked):
+            rule += f": its autopilot is {ids_in_words(of_it)}, not component 1"
+            raise InputError("--system", asked, rule, TO_COMPONENT_1)
+        none = "There is no autopilot's heartbeat in it: leave --system out."
+        raise InputError("--system", asked, rule, f"Its vehicles: {those}." if those else none)
+
+    @property
+    def systems(self) -> tuple[int, ...]:
+        """System ids of all autopilots in it."""
+        return tuple(sorted(self.autopilots))
+
     @property
     def findings(self) -> tuple[str, ...]:
         """What is odd about it, as far as `records` has come."""
-        return tuple(odd.said(n) for odd, n in self.odd.items() if n > 0)
+        return tuple(odd.format(f"{count:,}") for odd, count in self.odd.items() if count)
 
     def missing(self) -> dict[str, str]:
         """What never came of what the companion listens to, once `records` has come to the end.
 
         MAVLink names (of several that serve alike, joined by "or"), and what is impossible without.
         """
-        heard = {KINDS[each].msgname for each in self.heard if each in wire.mavlink_map}
-        ways = [each for each in ALL if self.autopilot in (None, each.firmware.number)]
-        decoded = {wire.mavlink_map[number].msgname for each in ways for number in each.decoders}
+        heard = {KINDS[number].msgname for number in self.heard & KINDS.keys()}
+        heard.add(_NOT_SENT.get(self.autopilots.get(self.system_id or 0, 0), ""))
         return {
             message: without
             for message, without in _NEEDED.items()
             if heard.isdisjoint(message.split(" or "))
-            and (without is not _ESTIMATOR or message in decoded)
         }
 
     def records(self) -> Iterator[Record]:
@@ -144,25 +156,7 @@ class Log:
             self.odd[Odd.UNREADABLE] = 1
 
 
-def chosen(
-    path: Path,
-    systems: tuple[int, ...],
-    asked: int | None,
-    elsewhere: frozenset[tuple[int, int]] = frozenset(),
-) -> int | None:
-    """The selected vehicle; InputError if it is ambiguous.  elsewhere: as of `Log`."""
-    those = ", ".join(str(each) for each in systems)
-    if asked is None and len(systems) > 1:
-        rule = f"several vehicles are in it, systems {those}"
-        raise InputError("log", str(path), rule, "Choose one with --system.")
-    if asked is None or asked in systems:
-        return asked or next(iter(systems), None)
-    rule = f"there is no such vehicle in {path.name}"
-    if of_it := sorted(each for each in elsewhere if each[0] == asked):
-        rule += f": its autopilot is {ids_in_words(of_it)}, not component 1"
-        raise InputError("--system", asked, rule, TO_COMPONENT_1)
-    none = "There is no autopilot's heartbeat in it: leave --system out."
-    raise InputError("--system", asked, rule, f"Its vehicles: {those}." if systems else none)
+# --- its time
 
 
 @final
@@ -185,14 +179,13 @@ class Clock:
         if stamp_us >= self._last_us:
             self._odd[Odd.WRONG_STAMP] += 1
             return False
-        step_us = stamp_us - self._stamp_us
-        if not -_BACK_US <= step_us <= _GAP_US:
-            if self._doubted_us is None or not agree(self._doubted_us, stamp_us):
+        if not _agree(self._stamp_us, stamp_us):
+            if self._doubted_us is None or not _agree(self._doubted_us, stamp_us):
                 self._doubted_us = stamp_us
                 self._odd[Odd.WRONG_STAMP] += 1
                 return False
             self._odd[Odd.WRONG_STAMP] -= 1
-            self._odd[Odd.TIME_BACK if step_us < 0 else Odd.TIME_GAP] += 1
+            self._odd[Odd.TIME_BACK if stamp_us < self._stamp_us else Odd.TIME_GAP] += 1
             # no more of a shift than keeps it from falling: what leaps on and on stays bounded
             self._shift_us = max(self.now_us - stamp_us, 0)
         self._stamp_us, self._doubted_us = stamp_us, None
@@ -200,12 +193,12 @@ class Clock:
         return True
 
 
-def agree(stamp_us: int, next_us: int) -> bool:
-    """Whether a stamp may follow another."""
-    return -_BACK_US <= next_us - stamp_us <= _GAP_US
-
-
 def earliest(stamps_us: list[int]) -> int:
     """Where a log begins, by its first stamps: the first that the one after it agrees with."""
     pairs = itertools.pairwise(stamps_us)
-    return next((now for now, after in pairs if agree(now, after)), next(iter(stamps_us), 0))
+    return next((now for now, after in pairs if _agree(now, after)), next(iter(stamps_us), 0))
+
+
+def _agree(stamp_us: int, next_us: int) -> bool:
+    """Whether a stamp may follow another."""
+    return -_BACK_US <= next_us - stamp_us <= _GAP_US

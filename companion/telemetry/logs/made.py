@@ -5,12 +5,11 @@ Made is what the companion reads (docs/reference/log-messages.md), no more.
 
 import math
 import struct
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple, Protocol
 
 from companion.errors import InputError
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
@@ -20,23 +19,19 @@ LONGEST_US: Final = 366 * 86_400 * 1_000_000
 """No vehicle is up for longer than a year."""
 _TEXT_BYTES: Final = 50
 _MAX_CHUNKS: Final = 6
+_HEARTBEAT, _CLOCK = wire.MAVLINK_MSG_ID_HEARTBEAT, wire.MAVLINK_MSG_ID_SYSTEM_TIME
 _PERIODS_US: Final = {
-    "heartbeat": 1_000_000,
-    "clock": 95_000,  # as often as the companion looks whether a position is late
-    "position": 19_000,  # 50 a second are enough
-    "estimator": 95_000,
-    "battery": 490_000,
-    "home": 490_000,
+    _HEARTBEAT: 1_000_000,
+    _CLOCK: 95_000,  # as often as the companion looks whether a position is late
+    wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 19_000,  # 50 a second are enough
+    wire.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 95_000,
+    wire.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 95_000,
+    wire.MAVLINK_MSG_ID_SYS_STATUS: 490_000,
 }
 """The least between two messages of a kind, microseconds: a link has no more."""
 _NO_DIRECTION: Final = 65535
 
 Values = Mapping[str, Any]
-MessagesOf = Callable[[str, Values, int], Iterable[Message]]
-"""Messages of an entry: its name, its values and the microseconds since boot.
-
-ValueError, KeyError, TypeError, ArithmeticError or struct.error if an entry cannot be so.
-"""
 
 
 class Row(NamedTuple):
@@ -49,33 +44,66 @@ class Row(NamedTuple):
     values: Values
 
 
-def made(
-    log: Log, rows: Iterable[Row], messages_of: MessagesOf, *, epoch_us: int | None, start_us: int
-) -> Iterator[Record]:
-    """What the vehicle would have sent.
+class Vehicle(Protocol):
+    """An autopilot, as far as its own log has told of it.
 
-    epoch_us: when it booted, microseconds since 1970, None if nothing tells; start_us: when the
-    log begins, microseconds since boot.
+    ValueError, KeyError, TypeError, ArithmeticError or struct.error if an entry cannot be so.
     """
-    if epoch_us is None:
-        log.odd[Odd.NO_DATE] = 1
-    boot_us = epoch_us or 0
-    last_us, start_us = boot_us + LONGEST_US, boot_us + start_us
-    clock = Clock(log.odd, start_us=start_us, last_us=last_us)
+
+    epoch_us: int | None
+    """When it booted, microseconds since 1970; None: nothing tells."""
+
+    def messages(self, row: Row, boot_us: int) -> Iterable[Message]:
+        """What it would have sent of an entry; boot_us: microseconds since boot."""
+
+    def shown(self) -> tuple[Any, ...]:
+        """What is told at once when it changes; empty while nothing is known."""
+
+    def state(self) -> Iterable[Message]:
+        """HEARTBEAT and EXTENDED_SYS_STATE."""
+
+
+def made(log: Log, rows: Iterable[Row], vehicle: Vehicle, start_us: int) -> Iterator[Record]:
+    """What the vehicle would have sent; start_us: when the log begins, microseconds since boot."""
+    log.odd[Odd.NO_DATE] = int(vehicle.epoch_us is None)
+    zero_us = vehicle.epoch_us or 0
+    clock = Clock(log.odd, start_us=zero_us + start_us, last_us=zero_us + LONGEST_US)
     codec = wire.MAVLink(None, srcSystem=log.system_id, srcComponent=AUTOPILOT_COMPONENT)
+    sent_us = dict[int, int]()
+
+    def is_due(number: int, boot_us: int) -> bool:
+        """Whether the period of such a message has passed; then it counts as sent now."""
+        before_us = sent_us.get(number)
+        if before_us is not None and 0 <= boot_us - before_us < _PERIODS_US.get(number, 0):
+            return False
+        sent_us[number] = boot_us
+        return True
+
+    def sent(row: Row, boot_us: int) -> Iterator[Message]:
+        """The messages of an entry that a link has room for."""
+        before = vehicle.shown()
+        for message in vehicle.messages(row, boot_us):
+            if is_due(message.get_msgId(), boot_us):
+                yield message
+        if shown := vehicle.shown():
+            if is_due(_HEARTBEAT, boot_us) or shown != before:
+                yield from vehicle.state()
+            if is_due(_CLOCK, boot_us):
+                unix_us = 0 if vehicle.epoch_us is None else zero_us + boot_us
+                yield wire.MAVLink_system_time_message(unix_us, boot_ms(boot_us))
+
     for row in rows:
-        if row.time_us is not None and not clock.read(boot_us + row.time_us):
+        if row.time_us is not None and not clock.read(zero_us + row.time_us):
             continue
         try:
-            messages = list(messages_of(row.name, row.values, clock.now_us - boot_us))
+            messages = list(sent(row, clock.now_us - zero_us))
             frames = [bytes(message.pack(codec)) for message in messages]
         except (ArithmeticError, KeyError, TypeError, ValueError, struct.error):
             # nothing protects an entry: damaged, its numbers fit into no message, or it is no text
             log.odd[Odd.DAMAGED] += 1
             continue
         log.heard.update(message.get_msgId() for message in messages)
-        for frame in frames:
-            yield Record(clock.now_us, frame)
+        yield from (Record(clock.now_us, frame) for frame in frames)
 
 
 @contextmanager
@@ -89,30 +117,14 @@ def silent(library: ModuleType) -> Iterator[None]:
 
 
 def refuse_older(
-    path: Path, firmware: str, version: tuple[int, int] | None, oldest: tuple[int, int]
+    path: Path, firmware: str, version: tuple[int, int], oldest: tuple[int, int]
 ) -> None:
-    """InputError if a log is of a version before the oldest that is known; None: it tells none."""
-    if version is not None and version < oldest:
+    """InputError if a log is of a version before the oldest that is known."""
+    if version < oldest:
         rule = f"it is of {firmware} {version[0]}.{version[1]}"
         rule += f", and logs are read from {oldest[0]}.{oldest[1]} on"
         remedy = "Fly newer firmware, or use companion 0.2.0 for it."
         raise InputError("log", str(path), rule, remedy)
-
-
-@final
-@dataclass(slots=True)
-class Pace:
-    """Limits the rate of messages to that of a link."""
-
-    _sent_us: dict[str, int] = field(default_factory=dict)
-
-    def is_due(self, what: str, time_us: int) -> bool:
-        """Whether the period of such a message has passed; then it counts as sent now."""
-        before_us = self._sent_us.get(what)
-        if before_us is not None and 0 <= time_us - before_us < _PERIODS_US[what]:
-            return False
-        self._sent_us[what] = time_us
-        return True
 
 
 # --- messages
@@ -147,12 +159,6 @@ def ground(landed: int) -> Message:
     return wire.MAVLink_extended_sys_state_message(wire.MAV_VTOL_STATE_UNDEFINED, landed)
 
 
-def system_time(epoch_us: int | None, boot_us: int) -> Message:
-    """SYSTEM_TIME; epoch_us: when it booted, microseconds since 1970."""
-    unix_us = 0 if epoch_us is None else epoch_us + boot_us
-    return wire.MAVLink_system_time_message(unix_us, boot_ms(boot_us))
-
-
 def boot_ms(boot_us: int) -> int:
     """As MAVLink has it: 32 bits, which begin again after 49.7 days."""
     return boot_us // 1000 & 0xFFFFFFFF
@@ -171,8 +177,3 @@ def direction(angle_deg: float) -> int:
 def whole(value: float, least: int, most: int) -> int:
     """Rounded, for a field that says only so much.  ValueError if it is not finite."""
     return min(max(round(value), least), most)
-
-
-def thousandths(value: float) -> int:
-    """An accuracy, m or m/s, as GPS_RAW_INT has it."""
-    return whole(value * 1e3, 0, 0xFFFFFFFF)

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from functools import partial
 from operator import attrgetter
 from pathlib import Path
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
 from pyulog import ULog, core
@@ -18,16 +18,8 @@ from companion.errors import InputError
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.parameter_client import encoded
 from companion.telemetry.logs import made
-from companion.telemetry.logs.log import (
-    YEAR_2000_US,
-    YEAR_2100_US,
-    Log,
-    Odd,
-    Record,
-    chosen,
-    earliest,
-)
-from companion.telemetry.logs.made import Row, Values, direction, thousandths, whole, wired
+from companion.telemetry.logs.log import YEAR_2000_US, YEAR_2100_US, Log, Odd, Record, earliest
+from companion.telemetry.logs.made import Row, Values, direction, whole, wired
 
 TOPICS: Final = (
     *("battery_status", "estimator_status", "estimator_status_flags", "home_position"),
@@ -62,7 +54,11 @@ _LEAVING: Final = {
     _LAND: wire.MAV_LANDED_STATE_LANDING,
 }
 """nav_state -> MAV_LANDED_STATE, off the ground; else in the air."""
+_HOME_EVERY_US: Final = 490_000
+"""PX4 publishes its home all the time."""
 _PLACE: Final = ("latitude_deg", "longitude_deg", "altitude_msl_m")
+_MOST: Final = 0xFFFFFFFF
+"""Of what GPS_RAW_INT says of accuracies, mm and mm/s."""
 _TIME: Final = attrgetter("time_us")
 _COLOURS: Final = re.compile(r"\x1b\[[0-9;]*m")
 
@@ -123,13 +119,13 @@ def _data(topic: ULog.Data) -> Iterator[Row]:
             yield Row(topic.name, values["timestamp"], values)
 
 
-# --- the first look
+# --- the log as a whole
 
 
-def opened(path: Path, system_id: int | None) -> Log | None:
+def opened(path: Path) -> Log | None:
     """A .ulg; None: nothing in it can be read.
 
-    InputError: it is of a later format, of firmware before 1.13, or not whose is asked for.
+    InputError: it is of a later format, or of firmware before 1.13.
     """
     log = _read(path)
     if log is None:
@@ -146,106 +142,87 @@ def opened(path: Path, system_id: int | None) -> Log | None:
         start_us = begun_us
     changed = {name: value for _, name, value in log.changed_parameters}
     system = (log.initial_parameters | changed).get("MAV_SYS_ID", 1)
-    systems = (system if isinstance(system, int) and 1 <= system <= 255 else 1,)
-    return Log(
-        kind="ulg",
-        path=path,
-        systems=systems,
-        system_id=chosen(path, systems, system_id),
-        autopilot=int(wire.MAV_AUTOPILOT_PX4),
-        read=partial(_records, log, start_us),
-    )
+    is_one = isinstance(system, int) and 1 <= system <= 255
+    autopilots = {system if is_one else 1: int(wire.MAV_AUTOPILOT_PX4)}
+    return Log(kind="ulg", path=path, autopilots=autopilots, read=partial(_records, log, start_us))
 
 
-def _epoch_us(log: ULog) -> int | None:
+def _records(ulog: ULog, start_us: int, log: Log) -> Iterator[Record]:
+    """What it says.
+
+    start_us: when the log begins, by the vehicle's clock; if that is a date, it is taken for the
+    vehicle's boot.  What was published before the log began is told at its beginning.
+    """
+    zero_us = start_us if start_us >= YEAR_2000_US else 0
+    topics = _topics(ulog)
+    has_estimator = "estimator_status" in topics
+    log.odd[Odd.CORRUPT] = int(ulog.file_corruption)
+    log.odd[Odd.LOST_TIME] = sum(lost.duration for lost in ulog.dropouts)
+    log.odd[Odd.CLOCK_IS_DATE] = int(zero_us > 0)
+    log.odd[Odd.MADE_ESTIMATOR] = int("vehicle_local_position" in topics and not has_estimator)
+    epoch_us = _epoch_us(ulog, topics.get("sensor_gps")) or zero_us or None
+
+    def since_boot_us(time_us: int | None) -> int | None:
+        return None if time_us is None or time_us < start_us else time_us - zero_us
+
+    rows = (row._replace(time_us=since_boot_us(row.time_us)) for row in _rows(ulog))
+    vehicle = _Vehicle(epoch_us, has_estimator=has_estimator)
+    return made.made(log, rows, vehicle, start_us - zero_us)
+
+
+def _epoch_us(log: ULog, fixes: ULog.Data | None) -> int | None:
     """When the vehicle booted, microseconds since 1970: by its GPS, or else by its own clock."""
     dates = [log.msg_info_dict.get("boot_time_utc_us", 0)]
-    fixes = _topics(log).get("sensor_gps")
     if fixes is not None and "time_utc_usec" in fixes.data:
         utc_us, time_us = (fixes.data[each].tolist() for each in ("time_utc_usec", "timestamp"))
         dates[:0] = [date - at for date, at in zip(utc_us, time_us, strict=True)]
     return next((date for date in dates if YEAR_2000_US <= date < YEAR_2100_US), None)
 
 
-# --- what it says
-
-
-def _records(ulog: ULog, start_us: int, log: Log) -> Iterator[Record]:
-    """start_us: when the log begins, by the vehicle's clock, which may be a date."""
-    zero_us = start_us if start_us >= YEAR_2000_US else 0  # then that is taken for its boot
-    topics = _topics(ulog)
-    log.odd[Odd.CORRUPT] = int(ulog.file_corruption)
-    log.odd[Odd.LOST_TIME] = sum(lost.duration for lost in ulog.dropouts)
-    log.odd[Odd.CLOCK_IS_DATE] = int(zero_us > 0)
-    log.odd[Odd.MADE_ESTIMATOR] = int(
-        "vehicle_local_position" in topics and "estimator_status" not in topics
-    )
-    epoch_us = _epoch_us(ulog) or zero_us or None
-    rows = (_begun(row, start_us, zero_us) for row in _rows(ulog))
-    messages = _Messages(epoch_us, has_estimator="estimator_status" in topics)
-    return made.made(log, rows, messages.of, epoch_us=epoch_us, start_us=start_us - zero_us)
-
-
-def _begun(row: Row, start_us: int, zero_us: int) -> Row:
-    """What was published before the log began is told at its beginning."""
-    if row.time_us is None or row.time_us < start_us:
-        return row._replace(time_us=None)
-    return row._replace(time_us=row.time_us - zero_us)
-
-
 @final
-class _Messages:
-    """The messages of the rows of one pass, from first to last."""
+class _Vehicle:
+    """The vehicle in one pass, from first to last."""
 
     def __init__(self, epoch_us: int | None, *, has_estimator: bool) -> None:
-        self._epoch_us, self._has_estimator = epoch_us, has_estimator
-        self._is_due = made.Pace().is_due
+        self.epoch_us, self._has_estimator = epoch_us, has_estimator
         self._status: Values = {}
         self._landed: bool | None = None
         self._local: Values = {}
         self._home_alt_m: float | None = None
+        self._home_us = -_HOME_EVERY_US
         self._origin: tuple[float, float, float] | None = None
         self._flags: Values = {}
         self._texts = 0
 
-    def of(self, name: str, values: Values, boot_us: int) -> Iterator[Message]:
-        """Messages of one row."""
-        yield from self._of(name, values, boot_us)
-        if self._status and self._is_due("heartbeat", boot_us):
-            yield from self._state()
-        if self._status and self._is_due("clock", boot_us):
-            yield made.system_time(self._epoch_us, boot_us)
-
-    def _of(self, name: str, values: Values, boot_us: int) -> Iterator[Message]:
-        match name:
+    def messages(self, row: Row, boot_us: int) -> Iterator[Message]:
+        """What it would have sent of a row."""
+        values = row.values
+        match row.name:
             case "vehicle_status":
-                before, self._status = self._status, values
+                self._status = values
                 if values["nav_state"] not in _MODES:
                     raise ValueError("no such nav_state")
-                if any(values.get(each) != before.get(each) for each in _SHOWN):
-                    yield from self._state()
             case "vehicle_land_detected":
-                was_landed, self._landed = self._landed, bool(values["landed"])
-                if self._status and was_landed != self._landed:
-                    yield from self._state()
+                self._landed = bool(values["landed"])
             case "vehicle_local_position":
                 self._local = values
                 yield from self._place(values, boot_us)
-                if not self._has_estimator and self._flags and self._is_due("estimator", boot_us):
+                if not self._has_estimator and self._flags:
                     yield _made_estimator(values, self._flags, boot_us)
-            case "vehicle_global_position" if self._local and self._is_due("position", boot_us):
+            case "vehicle_global_position" if self._local:
                 yield self._position(values, boot_us)
             case "home_position" if values.get("valid_hpos", True):
                 self._home_alt_m = values["alt"] if values.get("valid_alt", True) else None
-                if self._is_due("home", boot_us):
+                if boot_us - self._home_us >= _HOME_EVERY_US:
+                    self._home_us = boot_us
                     yield _home(values, boot_us)
             case "sensor_gps":
                 yield _gps(values, boot_us)
-            case "estimator_status" if self._is_due("estimator", boot_us):
+            case "estimator_status":
                 yield _estimator(values, boot_us)
             case "estimator_status_flags":
                 self._flags = values
-            case "battery_status" if self._is_due("battery", boot_us):
+            case "battery_status":
                 left, amperes = values["remaining"], values["current_a"]
                 is_known = values.get("connected", True) and 0.0 <= left <= 1.0
                 percent = math.ceil(left * 100) if is_known else -1
@@ -262,9 +239,13 @@ class _Messages:
                 severity = min(max(values["level"] - ord("0"), 0), wire.MAV_SEVERITY_DEBUG)
                 yield from made.texts(_COLOURS.sub("", values["text"]), severity, self._texts)
             case _:
-                return  # not due, or of nothing that is known
+                return  # what is not valid, or of nothing that is known
 
-    def _state(self) -> Iterator[Message]:
+    def shown(self) -> tuple[Any, ...]:
+        """What is told at once when it changes; empty while nothing is known."""
+        return (*map(self._status.get, _SHOWN), self._landed) if self._status else ()
+
+    def state(self) -> Iterator[Message]:
         """HEARTBEAT and EXTENDED_SYS_STATE."""
         values, mode = self._status, self._status["nav_state"]
         if mode in _MODES:
@@ -329,9 +310,9 @@ def _gps(values: Values, boot_us: int) -> Message:
         *(whole(values[each] * 100, 0, 65535) for each in ("hdop", "vdop", "vel_m_s")),
         *(direction(math.degrees(values["cog_rad"])), values["satellites_used"]),
         alt_ellipsoid=round(ellipsoid_mm),
-        h_acc=thousandths(values["eph"]),
-        v_acc=thousandths(values["epv"]),
-        vel_acc=thousandths(values["s_variance_m_s"]),
+        h_acc=whole(values["eph"] * 1e3, 0, _MOST),
+        v_acc=whole(values["epv"] * 1e3, 0, _MOST),
+        vel_acc=whole(values["s_variance_m_s"] * 1e3, 0, _MOST),
     )
 
 

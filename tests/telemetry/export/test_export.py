@@ -25,10 +25,10 @@ from companion.telemetry.export.formats import COLUMNS, write_csv, write_geojson
 from companion.telemetry.journal import Journal
 
 SCHEMA = Path(fastkml.validator.__file__).parent / "schema" / "kml22gx.xsd"
+PAGE = Path(__file__).parents[3] / "docs" / "export.md"
 KML = {"k": "http://www.opengis.net/kml/2.2", "gx": "http://www.google.com/kml/ext/2.2"}
 PHASES = ["preparing", "arming", "taking off", "flying", "holding", "flying", "arrived", "done"]
-Place = tuple[float, float, float]
-"""Longitude, latitude, altitude."""
+Positions = list[tuple[int, Any, tuple[float, float, float]]]
 
 
 @pytest.fixture(scope="module")
@@ -43,8 +43,8 @@ def exported(run_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def positions(run_dir: Path) -> list[tuple[int, Any, Place]]:
-    """Every position of the log with a fix, its stamp and its place, read by pymavlink."""
+def positions(run_dir: Path) -> Positions:
+    """Of every position with a fix stamp, message, and longitude, latitude, altitude."""
     log = frames_of((run_dir / "flight.tlog").read_bytes())
     found = [(at, m) for at, m in log if m.get_type() == "GLOBAL_POSITION_INT" and m.lat]
     assert len(found) > 900
@@ -56,18 +56,13 @@ def mission(run_dir: Path) -> Mission:
     return load_mission(str(run_dir / "mission.toml"))
 
 
-@pytest.fixture(scope="module")
-def table(exported: Path) -> Any:
-    return geopandas.read_file(exported / "flight.geojson")
-
-
 def utc_ms(text: str) -> int:
     """Milliseconds since 1970 of a time such as 2026-01-01T00:00:00.123Z."""
     return int(np.datetime64(text[:-1]).astype("int64"))
 
 
 def test_the_kml_is_valid_and_has_every_position_at_its_time_in_a_track_for_each_phase(
-    exported: Path, positions: list[tuple[int, Any, Place]]
+    exported: Path, positions: Positions
 ) -> None:
     """Each in its own colour; and each begins where the one before it ends."""
     kml = etree.parse(exported / "flight.kml")
@@ -88,15 +83,15 @@ def test_the_kml_is_valid_and_has_every_position_at_its_time_in_a_track_for_each
         rows = list(zip(times_ms, places, strict=True))
         assert not joined or joined.pop() == rows[0]
         joined += rows
-    expected = [
+    assert joined == [
         (round(at_us / 1000), pytest.approx(place, abs=1e-9)) for at_us, _, place in positions
     ]
-    assert joined == expected
 
 
 def test_geopandas_reads_every_feature_and_position_of_the_geojson_in_wgs84(
-    table: Any, mission: Mission, positions: list[tuple[int, Any, Place]]
+    exported: Path, mission: Mission, positions: Positions
 ) -> None:
+    table = geopandas.read_file(exported / "flight.geojson")
     assert table.crs.to_epsg() == 4326
     extended = table.geometry.bounds.pipe(lambda box: box.maxx > box.minx)  # a climb is no line
     assert table.geometry[extended].is_valid.all()
@@ -106,8 +101,7 @@ def test_geopandas_reads_every_feature_and_position_of_the_geojson_in_wgs84(
     assert table["kind"].value_counts().to_dict().items() >= (zones | flown).items()
     tracks = table[table["kind"] == "track"]
     assert list(tracks["phase"]) == PHASES
-    lines = tracks[tracks.geometry.geom_type == "LineString"].geometry
-    rows = {tuple(np.round(row, 7)) for line in lines for row in line.coords}
+    rows = {tuple(np.round(row, 7)) for line in tracks.geometry for row in line.coords}
     assert rows == {tuple(np.round(place, 7)) for *_, place in positions}
     ends_s = [m.time_boot_ms / 1e3 for _, m, _ in (positions[0], positions[-1])]
     assert [tracks["from_s"].iloc[0], tracks["until_s"].iloc[-1]] == ends_s
@@ -124,8 +118,7 @@ def test_zones_wind_as_the_standard_says_and_are_threats_for_a_mission(
     found = json.loads((exported / "flight.geojson").read_text(encoding="utf-8"))
     polygons = [f["geometry"] for f in found["features"] if f["geometry"]["type"] == "Polygon"]
     assert len(polygons) > 3
-    for polygon in polygons:
-        [ring] = polygon["coordinates"]
+    for [ring] in (polygon["coordinates"] for polygon in polygons):
         assert ring[0] == ring[-1]
         longitude, latitude = np.array(ring)[:, :2].T
         assert np.sum((longitude[1:] - longitude[:-1]) * (latitude[1:] + latitude[:-1])) < 0.0
@@ -146,11 +139,12 @@ def away_from_chords_m(line: FloatArray, point: FloatArray) -> float:
 
 
 def test_subpaths_follow_their_curves_and_bear_what_is_proven(
-    table: Any, mission: Mission, run_dir: Path
+    exported: Path, mission: Mission, run_dir: Path
 ) -> None:
     """No chord leaves the curve by a quarter of a metre."""
     entries = Journal(run_dir / "journal.jsonl").entries()
     plans = [entry for entry in entries if isinstance(entry, PlanReady)]
+    table = geopandas.read_file(exported / "flight.geojson")
     rows = table[table["kind"] == "subpath"]
     for (_, row), plan in zip(rows.iterrows(), plans, strict=True):
         places = [(*mission.frame.to_local_m(lat, lon), up) for lon, lat, up in row.geometry.coords]
@@ -163,7 +157,7 @@ def test_subpaths_follow_their_curves_and_bear_what_is_proven(
 
 
 def test_the_csv_has_a_row_for_each_position_and_the_documented_columns(
-    exported: Path, positions: list[tuple[int, Any, Place]], mission: Mission
+    exported: Path, positions: Positions, mission: Mission
 ) -> None:
     with (exported / "flight.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
@@ -176,9 +170,7 @@ def test_the_csv_has_a_row_for_each_position_and_the_documented_columns(
         assert float(row["up_m_s"]) == -message.vz / 100
         north_east = mission.frame.to_local_m(message.lat * 1e-7, message.lon * 1e-7)
         assert (float(row["north_m"]), float(row["east_m"])) == pytest.approx(north_east, abs=0.01)
-        assert row["boot"] == "0"
     assert [name for name, _ in itertools.groupby(row["phase"] for row in rows)] == PHASES
     assert [leg for leg, _ in itertools.groupby(row["leg"] for row in rows)] == ["0", "1", "2"]
-    page = (Path(__file__).parents[3] / "docs" / "export.md").read_text(encoding="utf-8")
-    for name, (_, words) in COLUMNS.items():
-        assert f"| `{name}` | {words} |" in page
+    page = PAGE.read_text(encoding="utf-8")
+    assert all(f"| `{name}` | {words} |" in page for name, (_, words) in COLUMNS.items())

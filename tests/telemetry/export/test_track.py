@@ -48,10 +48,6 @@ def at(*times_s: float, entries: Any = ()) -> Flight:
     return flight(*map(position, times_s), entries=entries)
 
 
-def phases(flight: Flight) -> list[str]:
-    return [each.phase for each in flight.decided_at(flight.times_s)]
-
-
 def phase(time_s: float, name: str, reason: str | None = None) -> Any:
     return noted.Phase(time_s=time_s, phase=name, was="", reason=reason, code=None)
 
@@ -90,12 +86,13 @@ def test_units_signs_datums_and_what_is_not_told(
 
 def test_only_the_autopilot_of_the_vehicle_counts_and_only_with_a_fix() -> None:
     others = [position(1.0, ids=ids) for ids in ((2, 1), (1, 195), (255, 190))]
-    beat = bytes(wire.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3).pack(wire.MAVLink(None, 1, 1)))
-    assert len(flight(*others, beat, position(2.0)).track) == 1
+    assert len(flight(*others, position(2.0)).track) == 1
     assert len(flight(*others, position(2.0), system_id=None).track) == 2
     found = flight(position(1.0, lat=0, lon=0), position(2.0, lat=2_000_000_000), position(3.0))
-    assert found.track.t_s.tolist() == [3.0]
-    assert found.left_out == 2
+    assert (found.track.t_s.tolist(), found.left_out) == ([3.0], 2)
+    none = flight(entries=[phase(1.0, "holding", "x")])
+    assert (len(none.track), none.segments(), none.places_nea_m.shape) == (0, [], (0, 3))
+    assert {each.kind for each in features_of(none)} <= {"target", "radar"}
 
 
 def test_a_clock_that_begins_again_is_a_reboot_and_a_single_fall_is_a_mistake() -> None:
@@ -112,31 +109,28 @@ REBOOTED = [
     *(phase(0.4, "preparing"), phase(0.6, "holding", "x")),
 ]
 RESTARTED = [header(), phase(1000.0, "flying"), header(resumed=1), phase(5.0, "preparing")]
+IN_ONE = [phase(0.5, "preparing"), phase(3.0, "flying")]
+WAITED = [phase(9.0, "preparing"), phase(3.0, "arming")]
 
 
 @pytest.mark.parametrize(
     ("times_s", "entries", "expected"),
     [
-        (  # each phase begins at the position of its time
-            (1.0, 2.0, 3.0, 4.0),
-            [phase(0.5, "preparing"), phase(3.0, "flying")],
-            "preparing preparing flying flying",
-        ),
-        (  # after a reboot times count from the new boot
-            (99.0, 100.0, 101.0, 0.5, 0.6),
-            REBOOTED,
-            "waiting flying flying preparing holding",
-        ),
+        # each phase begins at the position of its time
+        ((1.0, 2.0, 3.0, 4.0), IN_ONE, "preparing preparing flying flying"),
+        # after a reboot times count from the new boot
+        ((99.0, 100.0, 101.0, 0.5, 0.6), REBOOTED, "waiting flying flying preparing holding"),
         # one while no companion ran is seen by the clock
         ((1000.0, 1001.0, 5.0), RESTARTED, "flying flying preparing"),
         # what it did before it knew the clock counts from the first position: it waited nine
         # seconds for a vehicle that had been on for two
-        ((2.0, 3.0), [phase(9.0, "preparing"), phase(3.0, "arming")], "waiting arming"),
+        ((2.0, 3.0), WAITED, "waiting arming"),
     ],
     ids=["in one boot", "rebooted", "restarted", "waited"],
 )
 def test_phases_are_those_of_their_times(times_s: Any, entries: list[Any], expected: str) -> None:
-    assert phases(at(*times_s, entries=entries)) == expected.split()
+    found = at(*times_s, entries=entries)
+    assert [each.phase for each in found.decided_at(found.times_s)] == expected.split()
 
 
 def test_moments_and_segments_are_those_of_their_boots() -> None:
@@ -146,12 +140,6 @@ def test_moments_and_segments_are_those_of_their_boots() -> None:
     assert [found.row_at(found.time_of(boot, 0.6)) for boot in (1, 0)] == [4, 0]
     expected = [("waiting", 0, 1), ("flying", 1, 3), ("preparing", 3, 4), ("holding", 4, 5)]
     assert [(name, part.start, part.stop) for name, part in found.segments()] == expected
-
-
-def test_without_positions_nothing_has_a_place() -> None:
-    found = flight(entries=[phase(1.0, "holding", "x")])
-    assert (len(found.track), found.segments(), found.places_nea_m.shape) == (0, [], (0, 3))
-    assert {each.kind for each in features_of(found)} <= {"target", "radar"}
 
 
 def test_the_newest_targets_count_and_the_fence_is_there_once() -> None:
@@ -180,19 +168,17 @@ def test_a_long_track_is_thinned_evenly_and_keeps_its_ends(
     assert set(steps) == {2.0, 3.0}
     assert track.points[[0, -1], 1] == pytest.approx(found.track.latitude_deg[[0, -1]])
     write_kml(found, tmp_path / "long.kml")
-    written = (tmp_path / "long.kml").read_text(encoding="utf-8")
-    assert written.count("<when>") == len(track.points)
+    assert (tmp_path / "long.kml").read_text("utf-8").count("<when>") == len(track.points)
 
 
 def test_a_place_beside_a_subpath_is_told_how_far_it_is_and_where_it_is_nearest() -> None:
-    """Against points of the curve a centimetre apart; chords of 5 m leave it by a few."""
+    """Against points of the curve a centimetre apart."""
     corners = [(0.0, 0.0, 100.0), (20.0, 5.0, 101.0), (40.0, 5.0, 103.0), (60.0, 30.0, 103.0)]
     subpath = Subpath(control_nea_m=np.array([*corners, (70.0, 60.0, 104.0)]))
-    chords, lengths_m = shapes.Chords(subpath), np.arange(0.0, subpath.length_m, 0.01)
+    lengths_m = np.arange(0.0, subpath.length_m, 0.01)
     curve = subpath.points_nea_m(lengths_m)
     for place in np.random.default_rng(1).uniform((0, 0, 95), (75, 65, 110), (50, 3)):
         away_m = np.linalg.norm(curve - place, axis=1)
-        off_m, at_m = chords.nearest(place)
-        assert off_m == pytest.approx(away_m.min(), abs=0.2)
-        nearest_m = np.linalg.norm(subpath.points_nea_m(np.array([at_m]))[0] - place)
-        assert nearest_m == pytest.approx(away_m.min(), abs=0.2)
+        off_m, at_m = shapes.SubpathPoints(subpath).nearest(place)
+        assert off_m == pytest.approx(away_m.min(), abs=0.03)
+        assert at_m == pytest.approx(lengths_m[away_m.argmin()], abs=0.5)
