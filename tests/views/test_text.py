@@ -20,9 +20,8 @@ from companion.path.certificate import Certificate
 from companion.planner.request import Planned
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
-from companion.views.page import at_least
+from companion.views.words import at_least, metres_at_least
 from companion.views.text import clearance_text, flight_table, mission_summary, plans_table
-from companion.views.words import metres_at_least
 from companion.world.known_map import empty_map
 
 HILLS = load_mission("environment-1")
@@ -72,9 +71,9 @@ SOUTH = "3,000 m south, 2,000 m west of the origin (3,606 m straight from there)
         (HILLS, "proven safe before it is flown"),
         (load_mission("environment-1", "paper"), "flown unproven"),
         (replace(HILLS, scanner_complete=False), "nothing bounds"),
-        (known_but_for(0), "Terrain of 100% of the map"),
+        (known_but_for(0), "Terrain of 100.0% of the map"),
         (known_but_for(1), "Terrain of 99.9% of the map"),
-        (known_but_for(9_999), "Terrain of 0% of the map"),
+        (known_but_for(9_999), "Terrain of 0.0% of the map"),
     ],
 )
 def test_a_mission_in_words_says_where_it_goes_and_what_is_known_and_proven(
