@@ -42,7 +42,7 @@ def view_command(
     A run folder that is still written is shown as it grows.  Ends with Ctrl-C.
     """
     extras.need("view", "companion view")
-    from companion.live_view.server import serve  # slow to import
+    from companion.live_view.page import serve  # slow to import
 
     def on_ready(address: str) -> None:
         print(f"view: {address}", flush=True)  # noqa: T201 - `started_view` reads it

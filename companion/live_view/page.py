@@ -1,4 +1,4 @@
-"""The page: a server on this computer that shows recordings, and what people do there.
+"""The page: a server on this computer that shows a recording, and what people do there.
 
 What people do comes from threads of the server; one thread reads and draws, ten times a second.
 """
@@ -7,20 +7,26 @@ import math
 import threading
 import time
 from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
 from typing import Any, Final, final
 
 import numpy as np
+import rich
 import viser
 from viser import uplot
 
+from companion.errors import InputError
 from companion.geodesy import FloatArray
 from companion.live_view import panel
 from companion.live_view.ground import Replica, ground_of
 from companion.live_view.recording import Recording
 from companion.live_view.scene import Scene
+from companion.sources.files import answer
 from companion.views.words import clock_text
 from companion.world.known_map import KnownMap
 
+_HOST: Final = "127.0.0.1"
 _PERIOD_S: Final = 0.1
 _READ_S: Final = 0.3
 _CHARTS_S: Final = 1.5
@@ -30,6 +36,41 @@ _SPEEDS: Final = ("1x", "5x", "20x", "60x", "300x")
 _OVERVIEW: Final = (np.array([-40.0, -76.0, 50.0]), np.array([2.0, -9.0, 0.0]))
 """All of the map, from the south-west: where the camera is, and what it looks at."""
 _NEAR, _FAR = 0.05, 2000.0
+
+
+def serve(
+    path: Path,
+    port: int,
+    on_ready: Callable[[str], None],
+    stopped: Callable[[], bool],
+    *,
+    system_id: int | None = None,
+    is_flown: bool = False,
+) -> None:
+    """Serve a run folder or a log until stopped.  InputError if that cannot be done.
+
+    port: 0: any that is free.  on_ready: told the address.  system_id: of the vehicle, of several
+    in a log.  is_flown: the flight is flown now: it may not have begun to be recorded.
+    """
+    rich.get_console().quiet = True  # viser prints a box about itself
+    server = viser.ViserServer(host=_HOST, port=port, verbose=False)
+    server.request_share_url = lambda **_: None  # type: ignore[method-assign]
+    try:
+        if port not in (0, server.get_port()):  # it takes the next one: people would look elsewhere
+            rule = f"{_HOST} cannot be served there: the port is taken, or not for users"
+            raise InputError("--view-port", port, rule, "Give another port, or 0.")
+        recording = None if is_flown else Recording(path, system_id)
+        on_ready(f"http://{_HOST}:{server.get_port()}/")
+        begun = [path / name for name in ("mission.toml", "flight.tlog")]
+        while recording is None and not stopped():
+            if all(answer(file.is_file) for file in begun):
+                recording = Recording(path, system_id)
+            time.sleep(_PERIOD_S)
+        if recording is not None:
+            with closing(recording):
+                Page(server, recording).run(stopped)
+    finally:
+        server.stop()
 
 
 @final
@@ -77,12 +118,12 @@ class Page:
         with tabs.add_tab("flight"):
             self._status = gui.add_html("")
         with tabs.add_tab("events"):
-            self._events_style = gui.add_html("")
+            gui.add_html(panel.LIST_STYLE)
             self._events = gui.add_button_group("", ("none yet",))
             self._events.on_click(self._doing(lambda event: self.go_to_event(event.target.value)))
         charts = gui.add_panel()
         with charts.add_tab("charts"):
-            self._charts = [_chart(gui, title, lines) for title, lines in panel.CHARTS.items()]
+            self._charts = [_chart(gui, *lines) for lines in panel.CHARTS]
         charts.dock_left()
         charts.set_width(300)
 
@@ -171,7 +212,7 @@ class Page:
             self._show(self._scene, behind)
         if charted != self._charted and now_s - self._charted_at_s >= _CHARTS_S:
             self._charted_at_s, self._charted = now_s, charted
-            charts = panel.charts_of(recording, self._known)
+            charts = panel.charts_of(recording.flight, self._known)
             for chart, data in zip(self._charts, charts, strict=True):
                 chart.scales, chart.data = _scales(data), data
 
@@ -198,10 +239,9 @@ class Page:
             if client.client_id in self._followers:
                 client.camera.position = client.camera.position + (self._here - before)
         known = None if behind else self._known
-        self._status.content = panel.status_html(
-            recording, known, self._time_s, behind, scene.area.stretch
-        )
-        lines, self._events_style.content = panel.event_list(recording.events, self._time_s)
+        drawn = panel.status_html(recording, known, self._time_s, behind, scene.area.stretch)
+        self._status.content = drawn
+        lines = panel.event_lines(recording.events, self._time_s)
         self._events.options = lines or ("none yet",)
         self._slider.max = max(round(recording.ends_s + 0.05, 1), 0.1)
         if self._time_s != self._slid_to_s:  # else it may have been moved just now, untold yet
@@ -209,25 +249,23 @@ class Page:
             self._slider.value = round(self._time_s, 1)
 
 
-def _chart(gui: viser.GuiApi, title: str, lines: dict[str, str]) -> Any:
-    lines_of = [uplot.Series(label=name, stroke=c, width=2) for name, c in lines.items()]
+def _chart(gui: viser.GuiApi, title: str, *colours: str) -> Any:
+    lines = (uplot.Series(label=title, stroke=colour, width=2) for colour in colours)
     return gui.add_uplot(
-        tuple(np.zeros(0) for _ in range(1 + len(lines))),
-        (uplot.Series(label="time, s"), *lines_of),
+        tuple(np.zeros(0) for _ in range(1 + len(colours))),
+        (uplot.Series(label="time, s"), *lines),
         title=title,
         scales={"x": uplot.Scale(time=False)},
-        legend=uplot.Legend(show=len(lines) > 1, live=False),
+        legend=uplot.Legend(show=False),
         aspect=1.75,
     )
 
 
 def _scales(data: tuple[FloatArray, ...]) -> dict[str, uplot.Scale]:
     """Ranges of the axes, by hand: a gap in the data leaves the page none to find."""
-    values = np.concatenate(data[1:])
-    values = values[np.isfinite(values)]
-    low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
+    low, high = float(np.nanmin(data[1:])), float(np.nanmax(data[1:]))
     margin = max(0.06 * (high - low), 1e-3 + 1e-3 * abs(high))
     return {
-        "x": uplot.Scale(time=False, range=(0.0, float(max([1.0, *data[0][-1:]])))),
+        "x": uplot.Scale(time=False, range=(0.0, float(max(data[0][-1], 1.0)))),
         "y": uplot.Scale(range=(low - margin, high + margin)),
     }

@@ -3,48 +3,52 @@
 import html
 import math
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
 
 from companion.geodesy import FloatArray
 from companion.live_view.recording import BATTERY, Event, Recording
-from companion.mission.state import Phase
 from companion.objective import TERMS
-from companion.telemetry.export.shapes import Chords, under_m
-from companion.telemetry.flight import Decided, Flight, IntArray
-from companion.views.words import clock_text, metres, metres_at_least
+from companion.telemetry.export.shapes import under_m
+from companion.telemetry.flight import Decided, Flight
+from companion.views.words import clock_text, metres, metres_at_least, number
 from companion.world.columns import distance_to_terrain_m
 from companion.world.known_map import KnownMap
 
 _CHART_POINTS: Final = 600
 _MOST_APART: Final = 20  # cells: farther away from terrain a clearance is not told
-_DOWN: Final = (Phase.LANDING.value, Phase.DONE.value)
-_BARS: Final = TERMS[:-1]
+_STANDS_M_S: Final = 0.5
 _STYLE: Final = (
     "<style>.fl{font:13px/1.45 system-ui,sans-serif;padding:2px 8px 6px}"
     ".fl table{width:100%;border-collapse:collapse}.fl td{padding:1px 0;vertical-align:top}"
     ".fl td+td{text-align:right;font-variant-numeric:tabular-nums;font-weight:600}"
     ".fl .p{font-size:17px;font-weight:700}.fl .r{color:#b3261e;font-weight:600}"
-    ".fl i{display:inline-block;height:9px;background:#0050b5;border-radius:2px}"
     ".fl .h{color:#667;margin-top:6px;font-weight:600}.fl .n{color:#667}"
     ".fl .s{color:#00705a}</style>"
 )
 _EVENTS_BEFORE, _EVENTS_AFTER = 30, 10
 _LIST: Final = "div:has(>.ev)+div"  # the button group after it
-_LIST_STYLE: Final = (
+LIST_STYLE: Final = (
     f"<style>{_LIST}>div>div:first-child{{display:none}}"
     f"{_LIST} button{{flex:1 0 100%!important;min-width:0!important;height:auto;border:0;"
     "padding:0 4px;color:inherit;font-weight:400}"
     f"{_LIST} button *{{justify-content:start;text-align:left;white-space:normal}}</style>"
+    "<div class=ev></div>"
 )
+"""What makes a list of the buttons of the events."""
+CHARTS: Final = (
+    ("altitude and known ground, m AMSL", "#0050b5", "#8a6a3a"),
+    ("ground speed, m/s", "#c2389b"),
+)
+"""Their titles, and the colours of their lines."""
 
 
 def status_html(
     recording: Recording, known: KnownMap | None, time_s: float, behind: str, stretch: float
 ) -> str:
-    """Phase and reason, target, speed, altitude, clearance, the last plan and the link at a time.
+    """Phase and reason, target, speed, altitude, clearance and the last plan at a time.
 
     known: the terrain as it was then, None: not known; behind: what of it is not up to date;
     stretch: how much higher heights are drawn.
@@ -58,7 +62,7 @@ def status_html(
     speed_m_s = math.hypot(float(track.north_m_s[row]), float(track.east_m_s[row]))
     rows = {
         "time": clock_text(time_s),
-        "altitude": f"{altitude_m:,.0f} m AMSL",
+        "altitude": f"{number(altitude_m)} m AMSL",
         "over known ground": metres_at_least(float(above_m)),
         "clearance": metres_at_least(_clearance_m(known, here)),
         "speed": f"{speed_m_s:.1f} m/s, {float(track.up_m_s[row]):+.1f} up",
@@ -67,14 +71,13 @@ def status_html(
         target = decided.asked.target_ne_m if decided.asked else decided.targets_ne_m[-1]
         to_go_m = math.hypot(target[0] - north_m, target[1] - east_m)
         rows["target"] = f"{metres(target[0])} N, {metres(target[1])} E"
-        time_left = clock_text(to_go_m / speed_m_s) if speed_m_s > 0.5 else "standing"
-        rows["to go"] = f"{metres(to_go_m)}, {time_left}"
-    rows["link"] = f"{recording.rate_hz(time_s):.0f} positions/s"
+        left = clock_text(to_go_m / speed_m_s) if speed_m_s > _STANDS_M_S else "standing"
+        rows["to go"] = f"{metres(to_go_m)}, {left}"
     battery = flight.newest(BATTERY, row)
     if battery is not None and battery.battery_remaining >= 0:
         rows["battery"] = f"{battery.battery_remaining} %"
     drawn = "" if stretch == 1.0 else f"; heights drawn {stretch:g} times"
-    parts = [
+    return _html(
         _line("n", f"{recording.name}{drawn}"),
         _line("p", decided.phase if flight.has_mission else ""),
         _line("r", decided.reason),
@@ -82,14 +85,12 @@ def status_html(
         *_plan(decided),
         _line("n", decided.warning),
         _line("n", behind),
-    ]
-    return f"{_STYLE}<div class=fl>{''.join(parts)}</div>"
+    )
 
 
 def waiting_html(recording: Recording) -> str:
     """Before there is a position."""
-    waits = _line("p", "waiting for the vehicle")
-    return f"{_STYLE}<div class=fl>{html.escape(recording.name)}{waits}</div>"
+    return _html(_line("n", recording.name), _line("p", "waiting for the vehicle"))
 
 
 def _plan(decided: Decided) -> Iterator[str]:
@@ -101,21 +102,19 @@ def _plan(decided: Decided) -> Iterator[str]:
     rows = {
         "flying subpath": f"{decided.leg_number}",
         "length": metres(plan.length_m),
-        "cost, and to go from its end": f"{plan.cost or 0.0:.2f} + {plan.to_go or 0.0:.2f}",
-        "candidates": f"{plan.evaluations:,}",
+        "cost, and to go from its end": f"{number(plan.cost, 2)} + {number(plan.to_go, 2)}",
+        "candidates": number(plan.evaluations),
         "proven clearance": metres_at_least(plan.certificate.clearance_m),
     }
     yield _line("h", f"newest plan (number {plan.plan_id})")
     yield _line("r", f"not proven: {broken}") if broken else _line("s", "proven")
     yield _table(rows)
     yield _line("h", "its cost terms, 0 to 100")
-    values = {name: plan.terms.get(name) or 0.0 for name in _BARS}
-    yield _table(
-        {
-            name: f"<i style='width:{min(max(value, 0.0), 100.0):.1f}px'></i> {value:.1f}"
-            for name, value in values.items()
-        }
-    )
+    yield _table({name: number(plan.terms.get(name), 1) for name in TERMS[:-1]})
+
+
+def _html(*parts: str) -> str:
+    return f"{_STYLE}<div class=fl>{''.join(parts)}</div>"
 
 
 def _line(kind: str, text: str) -> str:
@@ -123,9 +122,11 @@ def _line(kind: str, text: str) -> str:
     return f"<div class={kind}>{html.escape(text)}</div>" if text else ""
 
 
-def _table(rows: Mapping[str, str]) -> str:
-    cells = (f"<tr><td>{name}</td><td>{value}</td></tr>" for name, value in rows.items())
-    return f"<table>{''.join(cells)}</table>"
+def _table(rows: dict[str, str]) -> str:
+    cells = (map(html.escape, row) for row in rows.items())
+    return (
+        f"<table>{''.join('<tr><td>{}</td><td>{}</td></tr>'.format(*row) for row in cells)}</table>"
+    )
 
 
 def event_line(event: Event) -> str:
@@ -133,38 +134,20 @@ def event_line(event: Event) -> str:
     return f"{clock_text(event.time_s)} {event.text}"
 
 
-def event_list(events: list[Event], time_s: float) -> tuple[tuple[str, ...], str]:
-    """Lines of the events about a time, newest first, and what makes a list of their buttons.
-
-    Those that are yet to come are pale.
-    """
+def event_lines(events: list[Event], time_s: float) -> tuple[str, ...]:
+    """Of the events about a time, and soon after it; newest first."""
     at = bisect_right(events, time_s, key=lambda event: event.time_s)
     around = events[max(at - _EVENTS_BEFORE, 0) : at + _EVENTS_AFTER]
-    to_come = min(len(events) - at, _EVENTS_AFTER)
-    pale = f"<style>{_LIST} button:nth-child(-n+{to_come}){{opacity:.5}}</style>"
-    return tuple(map(event_line, reversed(around))), f"{_LIST_STYLE}{pale}<div class=ev></div>"
+    return tuple(map(event_line, reversed(around)))
 
 
-# --- charts
-
-
-CHARTS: Final = {
-    "altitude and known ground, m AMSL": {"altitude": "#0050b5", "ground": "#8a6a3a"},
-    "off the path, m": {"off the path": "#c2389b"},
-}
-"""Their titles, and of each the lines by name and colour."""
-
-
-def charts_of(recording: Recording, known: KnownMap | None) -> tuple[tuple[FloatArray, ...], ...]:
+def charts_of(flight: Flight, known: KnownMap | None) -> tuple[tuple[FloatArray, ...], ...]:
     """All of a flight so far, at a few hundred points: of each chart the times, then its lines."""
-    flight = recording.flight
     count = len(flight.times_s)
     rows = np.unique(np.linspace(0, count - 1, min(count, _CHART_POINTS)).astype(np.int64))
-    times_s, places = flight.times_s[rows], flight.places_nea_m[rows]
-    return (
-        (times_s, places[:, 2], _under_m(known, places)),
-        (times_s, _aside_m(flight, rows)),
-    )
+    times_s, places, track = flight.times_s[rows], flight.places_nea_m[rows], flight.track
+    speeds_m_s = np.hypot(track.north_m_s[rows], track.east_m_s[rows])
+    return (times_s, places[:, 2], _under_m(known, places)), (times_s, speeds_m_s)
 
 
 def _clearance_m(known: KnownMap | None, here_nea_m: FloatArray) -> float:
@@ -180,19 +163,3 @@ def _under_m(known: KnownMap | None, places_nea_m: FloatArray) -> FloatArray:
     """Altitude of the known ground under places, NaN: not known.  (N, 3) -> (N,)."""
     none = np.full(len(places_nea_m), np.nan)
     return none if known is None else under_m(known, places_nea_m[:, :2])
-
-
-def _aside_m(flight: Flight, rows: IntArray) -> FloatArray:
-    """Distance from the path that was flown, metres; NaN: there was none, or it lands.  (N,).
-
-    The vehicle is behind the point that it is led by, so the subpath before counts too.
-    """
-    aside, chords = np.full(len(rows), np.nan), dict[int, Chords]()
-    for at, decided in enumerate(flight.decided_at(flight.times_s[rows])):
-        for plan in (decided.leg, decided.leg_before):
-            if plan is not None and decided.phase not in _DOWN:
-                if plan.plan_id not in chords:
-                    chords[plan.plan_id] = Chords(plan.subpath)
-                away_m, _ = chords[plan.plan_id].nearest(flight.places_nea_m[rows[at]])
-                aside[at] = np.fmin(aside[at], away_m)
-    return aside

@@ -8,7 +8,7 @@ import viser
 
 from companion.geodesy import FloatArray
 from companion.live_view import shapes
-from companion.live_view.ground import Ground
+from companion.live_view.ground import GUESSED, PROVEN, Ground
 from companion.live_view.recording import SECTORS
 from companion.live_view.shapes import Area, Mesh
 from companion.mission.journal import PlanAsked, PlanReady
@@ -32,6 +32,7 @@ _GUESSED: Final[Rgb] = (110, 140, 175)
 _KEEP_IN: Final[Rgb] = (120, 120, 120)
 _GRID: Final[Rgb] = (168, 172, 178)
 _FAR: Final = 2000.0
+_NOT_TOLD: Final = 65535  # of a sector of OBSTACLE_DISTANCE
 _SWEPT_S: Final = 1.0  # a sweep that is older is no longer what a lidar sees
 _TRACK_POINTS: Final = 1500
 _CURVE_POINTS: Final = 80
@@ -49,8 +50,6 @@ class Scene:
         self.area = Area.of(flight)
         self._decided: Decided | None = None
         """What is drawn of what was decided."""
-        self._swept: tuple[int, Any] | None = None
-        """The position, and the distances of the sectors that are drawn about it."""
         scene = self._scene
         scene.set_up_direction("+z")
         scene.world_axes.visible = False
@@ -65,6 +64,7 @@ class Scene:
         self._vehicle = self._mesh("/vehicle", shapes.dart(), _VEHICLE, flat_shading=True)
         self._drop = self._lines("/drop", _NOTHING, _VEHICLE, 1.5)
         self._track = self._lines("/track", _NOTHING, _TRACK, 2.5)
+        self._sweep = self._lines("/sweep", _NOTHING, _SCAN, 1.0)
 
     def _draw_plate(self) -> None:
         """The whole map, of which nothing is known yet, with a grid and where north is."""
@@ -88,7 +88,6 @@ class Scene:
         here = self.area.scene(flight.places_nea_m[row])
         with self._server.atomic():
             self._show_vehicle(row, here)
-            self._show_sweep(row)
             if decided is not self._decided:
                 self._decided = decided
                 self._group("/decided")
@@ -107,11 +106,13 @@ class Scene:
         """Draw the terrain as it is known."""
         with self._server.atomic():
             self._group("/ground")
-            proven = shapes.proven_mesh(ground, self.area)
-            guessed = shapes.guessed_mesh(ground, self.area)
-            if proven is not None:
-                self._scene.add_mesh_trimesh("/ground/proven", proven, **_NO_SHADOWS)
-            if guessed is not None:
+            proven, guessed = (
+                shapes.cells_mesh(ground, self.area, each) for each in (PROVEN, GUESSED)
+            )
+            if len(proven.faces):
+                mesh = shapes.painted(proven, self.area)
+                self._scene.add_mesh_trimesh("/ground/proven", mesh, **_NO_SHADOWS)
+            if len(guessed.faces):
                 self._mesh("/ground/guessed", guessed, _GUESSED, opacity=0.38)
 
     # --- the parts
@@ -124,33 +125,23 @@ class Scene:
         rows = np.unique(np.linspace(0, row, min(row + 1, _TRACK_POINTS)).astype(np.intp))
         points = self.area.scene(self._flight.places_nea_m[rows])
         self._track.points = (shapes.segments(points) if row else _NOTHING).astype(np.float32)
+        beams = self.area.scene(self._beams_nea_m(row))
+        self._sweep.points = (beams if len(beams) else _NOTHING).astype(np.float32)
 
-    def _show_sweep(self, row: int) -> None:
-        """What a lidar passed over just now."""
+    def _beams_nea_m(self, row: int) -> FloatArray:
+        """What a lidar passed over just now: lines from the vehicle.  -> (K, 2, 3)."""
         message = self._flight.newest(SECTORS, row, _SWEPT_S)
-        swept = row, message and message.distances
-        if swept == self._swept:
-            return
-        self._swept = swept
-        self._group("/sweep")
-        if message is not None:
-            here_nea_m = self._flight.places_nea_m[row]
-            fan = self._fan(here_nea_m, message, self._flight.heading_rad(row))
-            self._mesh("/sweep/sectors", fan, _SCAN, opacity=0.22)
-
-    def _fan(self, here_nea_m: FloatArray, message: Any, heading_rad: float) -> Mesh:
-        """The sectors of OBSTACLE_DISTANCE, in centimetres on the wire."""
-        width_rad = math.radians(message.increment_f or message.increment)
-        first_rad = heading_rad + math.radians(message.angle_offset)
-        told = np.array(message.distances) != 65535
-        reach_m = np.minimum(np.array(message.distances, float), message.max_distance) / 100.0
-        bearings = first_rad + (np.arange(len(told))[:, None] + [-0.5, 0.5]) * width_rad
-        rim = np.stack([np.cos(bearings), np.sin(bearings), 0.0 * bearings], -1)
-        rim = (rim * np.where(told, reach_m, 0.0)[:, None, None] + here_nea_m).reshape(-1, 3)
-        first = 1 + 2 * np.flatnonzero(told)
-        faces = np.stack([0 * first, first, first + 1], axis=-1)
-        points = self.area.scene(np.concatenate([here_nea_m[None], rim]))
-        return Mesh(points, faces.astype(np.uint32))
+        if message is None:
+            return np.zeros((0, 2, 3))
+        reach_m = np.minimum(message.distances, message.max_distance) / 100.0  # centimetres
+        told = np.array(message.distances) != _NOT_TOLD
+        degrees = message.angle_offset + np.arange(len(told)) * (
+            message.increment_f or message.increment
+        )
+        bearings = self._flight.heading_rad(row) + np.radians(degrees)
+        rim = np.stack([np.cos(bearings), np.sin(bearings), 0.0 * bearings], -1) * reach_m[:, None]
+        here_nea_m = self._flight.places_nea_m[row]
+        return here_nea_m + np.stack([0.0 * rim, rim], axis=1)[told]
 
     def _draw_radar(self, name: str, radar: Radar) -> None:
         """The sphere in which it sees between the ground and the ceiling."""

@@ -20,8 +20,8 @@ from companion.path.certificate import Certificate
 from companion.planner.request import Planned
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
-from companion.views.words import at_least, metres_at_least
 from companion.views.text import clearance_text, flight_table, mission_summary, plans_table
+from companion.views.words import at_least, metres_at_least
 from companion.world.known_map import empty_map
 
 HILLS = load_mission("environment-1")
