@@ -14,7 +14,6 @@ from typing import Any, Final, final
 import numpy as np
 import rich
 import viser
-from viser import uplot
 
 from companion.errors import InputError
 from companion.geodesy import FloatArray
@@ -29,7 +28,6 @@ from companion.world.known_map import KnownMap
 _HOST: Final = "127.0.0.1"
 _PERIOD_S: Final = 0.1
 _READ_S: Final = 0.3
-_CHARTS_S: Final = 1.5
 _REPLAY_S: Final = 0.06  # of processor time in a period, for what was known of the ground
 _GROUND_S: Final = 1.0  # between two grounds: a browser draws each anew
 _SPEEDS: Final = ("1x", "5x", "20x", "60x", "300x")
@@ -88,11 +86,10 @@ class Page:
         self._newest = True  # until somebody goes elsewhere
         self._followers: set[int] = set()
         self._here: FloatArray = np.zeros(3)
-        self._ground_at_s = self._read_at_s = self._charted_at_s = -math.inf
+        self._ground_at_s = self._read_at_s = -math.inf
         self._map_shown, self._slid_to_s = -1, 0.0
         self._known: KnownMap | None = None
         self._shown: tuple[object, ...] = ()
-        self._charted: tuple[object, ...] = ()
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(0, 80, 181))
         gui.set_panel_label("companion view")
@@ -121,11 +118,6 @@ class Page:
             gui.add_html(panel.LIST_STYLE)
             self._events = gui.add_button_group("", ("none yet",))
             self._events.on_click(self._doing(lambda event: self.go_to_event(event.target.value)))
-        charts = gui.add_panel()
-        with charts.add_tab("charts"):
-            self._charts = [_chart(gui, *lines) for lines in panel.CHARTS]
-        charts.dock_left()
-        charts.set_width(300)
 
     # --- what people do
 
@@ -206,15 +198,9 @@ class Page:
             self._time_s = min(self._time_s + passed_s * self._speed, recording.ends_s)
         behind = self._show_ground(self._scene, now_s)
         shown = (self._time_s, self._map_shown, behind)
-        charted = (recording.ends_s, self._map_shown)
         if shown != self._shown:
             self._shown = shown
             self._show(self._scene, behind)
-        if charted != self._charted and now_s - self._charted_at_s >= _CHARTS_S:
-            self._charted_at_s, self._charted = now_s, charted
-            charts = panel.charts_of(recording.flight, self._known)
-            for chart, data in zip(self._charts, charts, strict=True):
-                chart.scales, chart.data = _scales(data), data
 
     def _show_ground(self, scene: Scene, now_s: float) -> str:
         """Show what was known of the ground; what of that is not up to date."""
@@ -247,25 +233,3 @@ class Page:
         if self._time_s != self._slid_to_s:  # else it may have been moved just now, untold yet
             self._slid_to_s = self._time_s
             self._slider.value = round(self._time_s, 1)
-
-
-def _chart(gui: viser.GuiApi, title: str, *colours: str) -> Any:
-    lines = (uplot.Series(label=title, stroke=colour, width=2) for colour in colours)
-    return gui.add_uplot(
-        tuple(np.zeros(0) for _ in range(1 + len(colours))),
-        (uplot.Series(label="time, s"), *lines),
-        title=title,
-        scales={"x": uplot.Scale(time=False)},
-        legend=uplot.Legend(show=False),
-        aspect=1.75,
-    )
-
-
-def _scales(data: tuple[FloatArray, ...]) -> dict[str, uplot.Scale]:
-    """Ranges of the axes, by hand: a gap in the data leaves the page none to find."""
-    low, high = float(np.nanmin(data[1:])), float(np.nanmax(data[1:]))
-    margin = max(0.06 * (high - low), 1e-3 + 1e-3 * abs(high))
-    return {
-        "x": uplot.Scale(time=False, range=(0.0, float(max(data[0][-1], 1.0)))),
-        "y": uplot.Scale(range=(low - margin, high + margin)),
-    }

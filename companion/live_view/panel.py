@@ -1,4 +1,4 @@
-"""The side panel: numbers, cost terms, charts and events, as text for the page."""
+"""The side panel: numbers, cost terms and events, as text for the page."""
 
 import html
 import math
@@ -8,16 +8,14 @@ from typing import Final
 
 import numpy as np
 
-from companion.geodesy import FloatArray
 from companion.live_view.recording import BATTERY, Event, Recording
 from companion.objective import TERMS
 from companion.telemetry.export.shapes import under_m
-from companion.telemetry.flight import Decided, Flight
+from companion.telemetry.flight import Decided
 from companion.views.words import clock_text, metres, metres_at_least, number
 from companion.world.columns import distance_to_terrain_m
 from companion.world.known_map import KnownMap
 
-_CHART_POINTS: Final = 600
 _MOST_APART: Final = 20  # cells: farther away from terrain a clearance is not told
 _STANDS_M_S: Final = 0.5
 _STYLE: Final = (
@@ -38,11 +36,6 @@ LIST_STYLE: Final = (
     "<div class=ev></div>"
 )
 """What makes a list of the buttons of the events."""
-CHARTS: Final = (
-    ("altitude and known ground, m AMSL", "#0050b5", "#8a6a3a"),
-    ("ground speed, m/s", "#c2389b"),
-)
-"""Their titles, and the colours of their lines."""
 
 
 def status_html(
@@ -58,13 +51,18 @@ def status_html(
     row = flight.row_at(time_s)
     here = flight.places_nea_m[row]
     north_m, east_m, altitude_m = here.tolist()
-    [above_m] = altitude_m - _under_m(known, here[None])
+    above_m = away_m = math.nan
+    if known is not None:
+        above_m = altitude_m - float(under_m(known, here[None, :2])[0])
+        most_m = _MOST_APART * known.cell_m
+        away_m = distance_to_terrain_m(known, here, most_m, seen_only=True)
+        away_m = math.nan if away_m >= most_m else away_m
     speed_m_s = math.hypot(float(track.north_m_s[row]), float(track.east_m_s[row]))
     rows = {
         "time": clock_text(time_s),
         "altitude": f"{number(altitude_m)} m AMSL",
-        "over known ground": metres_at_least(float(above_m)),
-        "clearance": metres_at_least(_clearance_m(known, here)),
+        "over known ground": metres_at_least(above_m),
+        "clearance": metres_at_least(away_m),
         "speed": f"{speed_m_s:.1f} m/s, {float(track.up_m_s[row]):+.1f} up",
     }
     if decided.targets_ne_m and flight.has_mission:
@@ -139,27 +137,3 @@ def event_lines(events: list[Event], time_s: float) -> tuple[str, ...]:
     at = bisect_right(events, time_s, key=lambda event: event.time_s)
     around = events[max(at - _EVENTS_BEFORE, 0) : at + _EVENTS_AFTER]
     return tuple(map(event_line, reversed(around)))
-
-
-def charts_of(flight: Flight, known: KnownMap | None) -> tuple[tuple[FloatArray, ...], ...]:
-    """All of a flight so far, at a few hundred points: of each chart the times, then its lines."""
-    count = len(flight.times_s)
-    rows = np.unique(np.linspace(0, count - 1, min(count, _CHART_POINTS)).astype(np.int64))
-    times_s, places, track = flight.times_s[rows], flight.places_nea_m[rows], flight.track
-    speeds_m_s = np.hypot(track.north_m_s[rows], track.east_m_s[rows])
-    return (times_s, places[:, 2], _under_m(known, places)), (times_s, speeds_m_s)
-
-
-def _clearance_m(known: KnownMap | None, here_nea_m: FloatArray) -> float:
-    """Distance to known terrain; NaN: there is none within some cells."""
-    if known is None:
-        return math.nan
-    most_m = _MOST_APART * known.cell_m
-    away_m = distance_to_terrain_m(known, here_nea_m, most_m, seen_only=True)
-    return math.nan if away_m >= most_m else away_m
-
-
-def _under_m(known: KnownMap | None, places_nea_m: FloatArray) -> FloatArray:
-    """Altitude of the known ground under places, NaN: not known.  (N, 3) -> (N,)."""
-    none = np.full(len(places_nea_m), np.nan)
-    return none if known is None else under_m(known, places_nea_m[:, :2])
