@@ -144,16 +144,11 @@ class FlightFigure:
 
 
 def save(canvas: Figure, path: Path) -> None:
-    """Write a figure as what its name ends with; the same figure gives the same bytes."""
+    """Write a figure as .png, .svg or .pdf; the same figure gives the same bytes."""
     kind = path.suffix.lower().removeprefix(".")
     dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
     with rc_context({"svg.hashsalt": "companion"}):
         canvas.savefig(path, format=kind, dpi=DPI, metadata=dates.get(kind))
-
-
-def draw(figure: FlightFigure, path: Path) -> None:
-    """Write the three views of a flight to a .png, .svg or .pdf file."""
-    save(compose(figure), path)
 
 
 def compose(figure: FlightFigure) -> Figure:
@@ -243,8 +238,6 @@ def draw_profile(axes: Axes, figure: FlightFigure) -> None:
             at = along if style is _LINE else along[nearest.query(points_nea_m)[1]]
             dots = {"ls": "", "marker": ".", "ms": 1.5} if style is _FLOWN else {}
             axes.plot(at, points_nea_m[:, 2], **(style | dots), clip_on=False, zorder=3)
-    else:
-        axes.text(0.5, 0.5, "nothing was planned or flown", transform=axes.transAxes, ha="center")
     unit, in_unit = figure.unit
     axes.set(xlim=(0.0, max([*along[-1:], 1.0])), ylim=(low, high))
     axes.set(title="Vertical profile along the path", ylabel=f"altitude, {unit} AMSL")
@@ -313,7 +306,7 @@ def draw_offline(flight: OfflineFlight, mission: Mission, truth: KnownMap, path:
         legs_nea_m=(route,),
         scans_nea_m=tuple(flight.scans_nea_m),
     )
-    draw(shown, path)
+    save(compose(shown), path)
     return length_m
 
 
@@ -332,7 +325,7 @@ def draw_flown(flown: FlightSummary, path: Path) -> None:
         scans_nea_m=tuple(flown.scans_nea_m),
         track_nea_m=np.array(flown.track_nea_m) if len(flown.track_nea_m) > 1 else None,
     )
-    draw(shown, path)
+    save(compose(shown), path)
 
 
 def _title(mission: Mission) -> str:

@@ -62,14 +62,13 @@ class Progress:
         """Show the flight as it stands now; to be called often."""
         now_s, lines = time.monotonic(), list(self._lines(status))
         redraws = self._redraws and status.waits_for is None  # else it hides what is typed
-        if self._redraws and redraws is not self._live.is_started:
+        if redraws is not self._live.is_started:
             self._live.start() if redraws else self._live.stop()
         for line in lines:
             self._console.print(line, highlight=False, soft_wrap=not self._redraws, markup=False)
-        if not lines and now_s - self._shown_s < _SHOWN_S:
-            return
-        self._shown_s = now_s
-        if redraws and not self._output.is_behind:
+        is_due = bool(lines) or now_s - self._shown_s >= _SHOWN_S
+        if redraws and is_due and not self._output.is_behind:
+            self._shown_s = now_s
             self._live.update(status_table(status), refresh=True)
 
     def _lines(self, status: FlightStatus) -> Iterator[str]:
@@ -82,13 +81,10 @@ class Progress:
             yield progress_line(status)
 
     def __enter__(self) -> Self:
-        if self._redraws:
-            self._live.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._redraws:
-            self._live.stop()
+        self._live.stop()
 
 
 @final

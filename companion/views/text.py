@@ -32,29 +32,29 @@ def mission_summary(mission: Mission) -> str:
     """Summary of a mission, as text for the operator."""
     task, limits, settings = mission.task, mission.task.limits, mission.task.settings
     who = ", ".join(f"{system}/{component}" for system, component in mission.commanders)
-    circles = "" if limits.hovers else f", holding on circles of {metres(limits.loiter_radius_m)}"
+    circles = "" if limits.hovers else f"; holds on circles of {metres(limits.loiter_radius_m)}"
     inner = sum(zone.keep_in for zone in task.zones)
-    own = " and the vehicle's own fence" if mission.fence_from_vehicle else ""
+    own = ", the vehicle's own fence" if mission.fence_from_vehicle else ""
     proven = "proven safe before it is flown" if settings.profile.verified else "flown unproven"
     climb_deg, dive_deg = map(math.degrees, (limits.climb_angle_rad, limits.dive_angle_rad))
-    lines = [
-        f"{mission.name}: profile {settings.profile.name}",
-        f"{mission.kind}, {mission.autopilot or 'whichever autopilot is found'}{circles}; "
-        f"obeys {who or 'nobody'} (0: any component).",
-        f"Take off, climb to {metres(task.take_off_amsl_m)} AMSL, then fly at "
-        f"{limits.speed_m_s:g} m/s between {metres(limits.floor_amsl_m)} and "
-        f"{metres(limits.ceiling_amsl_m)} AMSL.",
-        f"Go to {_targets(mission)}, and {_LAST[mission.end_action]}.",
-        f"Turns no tighter than {metres(limits.turn_radius_m)}, climbs to {climb_deg:g}, dives to "
-        f"{dive_deg:g} degrees.",
-        _sight(mission),
-        f"Kept from terrain and keep-outs: {metres(settings.safety_distance_m)} (d_s). "
-        f"Known: {counted(len(task.radars), 'radar')}, "
-        f"{counted(len(task.zones) - inner, 'keep-out')}, {counted(inner, 'keep-in')}{own}.",
-        f"Each subpath is {proven}; without a safe one it flies the last one to its end, stops "
-        f"there, and after {counted(mission.attempts, 'attempt')}: {mission.fallback.value}.",
-    ]
-    return "\n  ".join(lines)
+    rows = {
+        "vehicle": f"{mission.kind}, {mission.autopilot or 'any autopilot'}{circles}",
+        "obeys": f"{who or 'nobody'} (system/component, 0: any)",
+        "take-off": f"to {metres(task.take_off_amsl_m)} AMSL",
+        "flies": f"at {limits.speed_m_s:g} m/s between {metres(limits.floor_amsl_m)} and "
+        f"{metres(limits.ceiling_amsl_m)} AMSL, to {_targets(mission)}",
+        "then": _LAST[mission.end_action],
+        "bounds": f"turn radius {metres(limits.turn_radius_m)}, climb {climb_deg:g}, dive "
+        f"{dive_deg:g} degrees",
+        "keeps": f"{metres(settings.safety_distance_m)} (d_s) from terrain and zones",
+        "knows": f"{counted(len(task.radars), 'radar')}, "
+        f"{counted(len(task.zones) - inner, 'keep-out')}, {counted(inner, 'keep-in')}{own}",
+        "sees": _sight(mission),
+        "subpaths": f"{proven}; planned for {settings.planning_time_s:g} s (T); after "
+        f"{counted(mission.attempts, 'attempt')} without one: {mission.fallback.value}",
+    }
+    lines = [f"{mission.name}: profile {settings.profile.name}"]
+    return "\n".join([*lines, *(f"  {name:<9} {text}" for name, text in rows.items())])
 
 
 def _targets(mission: Mission) -> str:
@@ -72,26 +72,20 @@ def _targets(mission: Mission) -> str:
 
 def _sight(mission: Mission) -> str:
     """What is known of the terrain in advance, and how more becomes known."""
-    settings, known, sensor = mission.task.settings, mission.known, mission.near
-    plans = f"plans for {settings.planning_time_s:g} s (T)"
+    known, range_m, sensor = mission.known, mission.task.settings.scan_range_m, mission.near
     if sensor is not None:
-        return (
-            f"{sensor.kind.upper()} of component {sensor.component_id} shows what stands within "
-            f"{metres(sensor.range_m)} (R), and what stands in the way stops the vehicle at once; "
-            f"it {plans}, again and again."
-        )
-    told = f"The radar sees {metres(settings.scan_range_m)} (R); it scans "
-    told += (
-        f"{metres(mission.task.scan_distance_m)} (L) before the end of each subpath and {plans}."
-    )
+        kind = f"{sensor.kind.upper()} of component {sensor.component_id}"
+        return f"{metres(sensor.range_m)} (R) far, by {kind}; stops at once for what is in the way"
+    told = f"{metres(range_m)} (R) far, {metres(mission.task.scan_distance_m)} (L) before the end "
+    told += "of each subpath, by terrain radar"
     if mission.scanner_component_id is None:
-        told = "There is no terrain radar: only known terrain is flown over."
+        told = "nothing: there is no terrain radar, and only known terrain is flown over"
     elif not mission.scanner_complete:
-        told += " It may miss ground in its sight: nothing bounds what it does not show."
+        told += ", which may miss ground in its sight: nothing bounds what it does not show"
     if known is not None:
-        told += f" Terrain of {_share(known.upper_m)} of the map is known in advance."
+        told += f". Terrain of {_share(known.upper_m)} of the map is known in advance"
         if known.guess_m is not None:
-            told += f" A file guides over {_share(known.guess_m)} of it, and proves nothing."
+            told += f"; a file guides over {_share(known.guess_m)} of it, and proves nothing"
     return told
 
 

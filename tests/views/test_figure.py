@@ -15,7 +15,7 @@ from companion.config import load_mission
 from companion.geodesy import FloatArray
 from companion.telemetry.export.shapes import highest
 from companion.views import figure as views
-from companion.views.figure import FlightFigure, compose, draw
+from companion.views.figure import FlightFigure, compose, save
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.radars import Radar
 from companion.world.zones import CircleZone, PolygonZone
@@ -95,7 +95,7 @@ def test_the_same_flight_gives_the_same_picture_of_the_kind_that_is_named(
     """The terrain of an .svg is an image, and its lines are lines."""
     one, two = tmp_path / f"one{suffix}", tmp_path / f"two{suffix}"
     for path in (one, two):
-        draw(a_flight(), path)
+        save(compose(a_flight()), path)
     assert not matplotlib._pylab_helpers.Gcf.figs  # none stays open
     assert one.read_bytes().startswith(begin)
     assert one.read_bytes() == two.read_bytes()
@@ -152,7 +152,7 @@ def test_unknown_ground_is_shown_as_unknown_and_there_is_a_picture_of_nothing_el
     assert in_corner.any()
     np.testing.assert_array_equal(np.isnan(under[:, 1]), in_corner)
     flight.known.upper_m[:] = math.inf
-    draw(replace(flight, legs_nea_m=()), tmp_path / "flight.png")
+    save(compose(replace(flight, legs_nea_m=())), tmp_path / "flight.png")
 
 
 @pytest.mark.parametrize("step", [1, 7, 40])
