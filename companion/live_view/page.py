@@ -115,7 +115,7 @@ class Page:
         with tabs.add_tab("flight"):
             self._status = gui.add_html("")
         with tabs.add_tab("events"):
-            gui.add_html(panel.LIST_STYLE)
+            self._events_style = gui.add_html("")
             self._events = gui.add_button_group("", ("none yet",))
             self._events.on_click(self._doing(lambda event: self.go_to_event(event.target.value)))
 
@@ -227,7 +227,7 @@ class Page:
         known = None if behind else self._known
         drawn = panel.status_html(recording, known, self._time_s, behind, scene.area.stretch)
         self._status.content = drawn
-        lines = panel.event_lines(recording.events, self._time_s)
+        lines, self._events_style.content = panel.event_list(recording.events, self._time_s)
         self._events.options = lines or ("none yet",)
         self._slider.max = max(round(recording.ends_s + 0.05, 1), 0.1)
         if self._time_s != self._slid_to_s:  # else it may have been moved just now, untold yet

@@ -28,14 +28,12 @@ _STYLE: Final = (
 )
 _EVENTS_BEFORE, _EVENTS_AFTER = 30, 10
 _LIST: Final = "div:has(>.ev)+div"  # the button group after it
-LIST_STYLE: Final = (
+_LIST_STYLE: Final = (
     f"<style>{_LIST}>div>div:first-child{{display:none}}"
     f"{_LIST} button{{flex:1 0 100%!important;min-width:0!important;height:auto;border:0;"
     "padding:0 4px;color:inherit;font-weight:400}"
     f"{_LIST} button *{{justify-content:start;text-align:left;white-space:normal}}</style>"
-    "<div class=ev></div>"
 )
-"""What makes a list of the buttons of the events."""
 
 
 def status_html(
@@ -132,8 +130,13 @@ def event_line(event: Event) -> str:
     return f"{clock_text(event.time_s)} {event.text}"
 
 
-def event_lines(events: list[Event], time_s: float) -> tuple[str, ...]:
-    """Of the events about a time, and soon after it; newest first."""
+def event_list(events: list[Event], time_s: float) -> tuple[tuple[str, ...], str]:
+    """Lines of the events about a time, newest first, and what makes a list of their buttons.
+
+    Those that are yet to come are pale.
+    """
     at = bisect_right(events, time_s, key=lambda event: event.time_s)
     around = events[max(at - _EVENTS_BEFORE, 0) : at + _EVENTS_AFTER]
-    return tuple(map(event_line, reversed(around)))
+    to_come = min(len(events) - at, _EVENTS_AFTER)
+    pale = f"<style>{_LIST} button:nth-child(-n+{to_come}){{opacity:.5}}</style>"
+    return tuple(map(event_line, reversed(around))), f"{_LIST_STYLE}{pale}<div class=ev></div>"
