@@ -54,6 +54,7 @@ from companion.telemetry.run_folder import RunFolder
 from companion.views.live import MachineLines, Progress
 from companion.views.output import PatientOutput, plain_console
 from companion.views.text import checks_table, flight_table, mission_summary, plans_table
+from companion.views.words import counted
 from companion.world.simulated import true_map
 
 _INTERRUPTED, _CRASHED = 130, 70
@@ -253,7 +254,8 @@ def plan_command(
 
     with writing("--figure", picture):
         length_m = draw_offline(flight, chosen, true_map(place.terrain, flight.known), picture)
-    said = f"{len(flight.legs)} subpaths, {length_m / 1000:.1f} km, planned in {took_s:.1f} s"
+    legs = counted(len(flight.legs), "subpath")
+    said = f"{legs}, {length_m / 1000:.1f} km, planned in {took_s:.1f} s"
     console.out(f"{said}; picture: {picture}", highlight=False)
     if flown.why:
         raise FlightFailed(flown.why, "")

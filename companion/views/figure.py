@@ -275,7 +275,7 @@ def draw_oblique(axes: Any, figure: FlightFigure) -> None:
         axes.plot_surface(*np.moveaxis(corners, -1, 0), color=colour, alpha=0.22, **surface)
     for points_nea_m, style in [(figure.path_nea_m, _LINE), *figure.marks]:
         axes.plot(*points_nea_m.T[[1, 0, 2]], **(style | {"zorder": _ABOVE}))
-    axes.set(**dict(zip(("xlim", "ylim", "zlim"), zip(least, most, strict=True), strict=True)))
+    axes.set(xlim=(west, east_m), ylim=(south, north_m), zlim=band_m)
     unit, in_unit = figure.unit
     axes.set(xlabel=f"east, {unit}", ylabel=f"north, {unit}", zlabel=f"altitude, {unit} AMSL")
     axes.zaxis.set_major_locator(MaxNLocator(4))

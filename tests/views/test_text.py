@@ -105,6 +105,23 @@ def test_a_flight_is_as_near_to_the_terrain_as_its_nearest_leg_and_costs_the_sum
             assert words in table
 
 
+@pytest.mark.parametrize(
+    ("name", "outcome", "passed"),
+    [
+        ("sitl-arduplane", Outcome.ARRIVED, True),
+        ("sitl-arduplane", Outcome.FAILED, False),
+        ("sitl-arducopter", Outcome.ARRIVED, False),
+    ],
+)
+def test_a_plane_that_has_arrived_has_passed_its_target(
+    name: str, outcome: Outcome, passed: bool
+) -> None:
+    session = Session(load_mission(name), seed=1, lockstep=True)
+    flight = FlightSummary(session=session, passed_m=12.34)
+    flight.end = End(outcome=outcome, reason="", remedy="")
+    assert ("passed the target at │ 12.3 m" in " ".join(rows(flight_table(flight)))) is passed
+
+
 def test_every_plan_has_a_row_with_its_clearance_if_it_is_proven() -> None:
     table = plans_table((planned(PROVEN, 1.0), planned(UNPROVEN, 2.0)))
     first, second = (line for line in rows(table) if "15.0 km" in line)
