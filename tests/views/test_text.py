@@ -21,7 +21,7 @@ from companion.planner.request import Planned
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
 from companion.views.text import clearance_text, flight_table, mission_summary, plans_table
-from companion.views.words import at_least, metres_at_least
+from companion.views.words import at_least, at_most, counted, metres_at_least, number
 from companion.world.known_map import empty_map
 
 HILLS = load_mission("environment-1")
@@ -94,6 +94,14 @@ def test_no_clearance_looks_larger_than_it_is_nor_much_smaller(clear_m: float) -
         told_m = float(number) * {"m": 1.0, "km": 1000.0}[unit]
         assert 0.98 * clear_m - 0.1 <= told_m <= clear_m + 1e-5
         assert told_m == pytest.approx(clear_m, rel=0.02, abs=1.0)
+
+
+def test_what_is_not_known_or_has_no_bound_is_a_dash_and_one_thing_is_no_several() -> None:
+    assert [number(each) for each in (None, math.inf, math.nan, -0.2, 1234.6)] == [
+        *("–", "–", "–", "0", "1,235")
+    ]
+    assert [at_most(each) for each in (0.0, 0.1, 99.0)] == ["0", "1", "99"]
+    assert [counted(each, "radar") for each in (0, 1, 2)] == ["0 radars", "1 radar", "2 radars"]
 
 
 def test_a_flight_is_as_near_to_the_terrain_as_its_nearest_leg_and_costs_the_sum_of_all() -> None:
