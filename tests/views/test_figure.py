@@ -151,6 +151,8 @@ def test_unknown_ground_is_shown_as_unknown_and_there_is_a_picture_of_nothing_el
     in_corner = (PATH[:, :2] < 60 * CELL_M).all(axis=1)
     assert in_corner.any()
     np.testing.assert_array_equal(np.isnan(under[:, 1]), in_corner)
+    (hatched,) = (each for each in axes["profile"].collections if each.get_hatch())
+    assert [len(each.vertices) > 0 for each in hatched.get_paths()] == [True]  # along the corner
     flight.known.upper_m[:] = math.inf
     save(compose(replace(flight, legs_nea_m=())), tmp_path / "flight.png")
 
