@@ -53,8 +53,8 @@ from companion.telemetry.resume import ResumeData, load_resume_data
 from companion.telemetry.run_folder import RunFolder
 from companion.views.live import MachineLines, Progress
 from companion.views.output import PatientOutput, plain_console
-from companion.views.pictures import draw_flown, draw_offline
 from companion.views.text import checks_table, flight_table, mission_summary, plans_table
+from companion.views.words import counted
 from companion.world.simulated import true_map
 
 _INTERRUPTED, _CRASHED = 130, 70
@@ -250,9 +250,12 @@ def plan_command(
     )  # fmt: skip
     flight, took_s = flown.details, time.perf_counter() - began_s
     console.print(plans_table(tuple(flight.plans)))
+    from companion.views.figure import draw_offline  # slow to import
+
     with writing("--figure", picture):
         length_m = draw_offline(flight, chosen, true_map(place.terrain, flight.known), picture)
-    said = f"{len(flight.legs)} subpaths, {length_m / 1000:.1f} km, planned in {took_s:.1f} s"
+    legs = counted(len(flight.legs), "subpath")
+    said = f"{legs}, {length_m / 1000:.1f} km, planned in {took_s:.1f} s"
     console.out(f"{said}; picture: {picture}", highlight=False)
     if flown.why:
         raise FlightFailed(flown.why, "")
@@ -480,6 +483,8 @@ def _show(flown: FlightSummary, folder: RunFolder, console: Console, *, draws: b
         console.print(flight_table(flown))
     try:
         if flown.heard and draws:
+            from companion.views.figure import draw_flown  # slow to import
+
             with writing("picture", picture):
                 draw_flown(flown, picture)
     except InputError as error:

@@ -26,7 +26,7 @@ import {modules}
     ("wanted", "modules"),
     [
         ("fly", "companion.cli, vehicle_sim.server"),
-        ("view", "companion.live_view.server"),
+        ("view", "companion.live_view.page"),
         ("campaign", "companion.campaign.store, distributed, polars"),
         ("compare", "ompl"),
     ],

@@ -37,12 +37,12 @@ def view_command(
     ] = None,
     live: Annotated[bool, typer.Option("--live", hidden=True)] = False,
 ) -> None:
-    """Show a flight in the browser: the ground as it was known, plans, charts and events over time.
+    """Show a flight in the browser: the ground as it was known, plans and events over time.
 
     A run folder that is still written is shown as it grows.  Ends with Ctrl-C.
     """
     extras.need("view", "companion view")
-    from companion.live_view.server import serve  # slow to import
+    from companion.live_view.page import serve  # slow to import
 
     def on_ready(address: str) -> None:
         print(f"view: {address}", flush=True)  # noqa: T201 - `started_view` reads it

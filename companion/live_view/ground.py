@@ -8,7 +8,7 @@ import pickle
 import time
 import zlib
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 from companion.errors import InputError
 from companion.mission.mission import Mission
 from companion.replay.feed import RUNTIME_RECORDS, DamagedInputError, Feeder, flown_mission
+from companion.session import Session
 from companion.sources.files import answer
 from companion.telemetry.export.shapes import highest
 from companion.telemetry.flight import Flight
-from companion.telemetry.inputs import FILE, Input, InputsFile
+from companion.telemetry.inputs import FILE, InputsFile
 from companion.world.guess import guessed_m
 from companion.world.known_map import KnownMap
 
@@ -85,8 +86,8 @@ class Replica:
     def __init__(self, folder: Path) -> None:
         """Nothing is read yet.  A folder without inputs never has any ground."""
         self._folder = folder
-        self._inputs: InputsFile | None = None
         self._known: KnownMap | None = None
+        self._steps = self._replayed()
         self.ended: str | None = None
         """Why nothing follows from more inputs."""
         self.now: tuple[int, float] = (0, 0.0)
@@ -97,14 +98,14 @@ class Replica:
     def advance(self, seconds: float, clock: Callable[[], float] = time.thread_time) -> bool:
         """Go on for so long, of processor time; whether there is more to read at once."""
         until_s, more = clock() + seconds, True
-        try:
-            while more and self.ended is None and clock() < until_s:
-                more = self._read_some()
-        except (DamagedInputError, InputError) as error:
-            self.ended = str(error)
-        except Exception as error:  # noqa: BLE001 - the session's own, as in the flight
-            self.ended = f"{type(error).__name__}: {error}"
-        return more and self.ended is None
+        while more and clock() < until_s:
+            try:
+                more = next(self._steps, False)
+            except (DamagedInputError, InputError) as error:
+                self.ended = str(error)
+            except Exception as error:  # noqa: BLE001 - the session's own, as in the flight
+                self.ended = f"{type(error).__name__}: {error}"
+        return more
 
     def number_at(self, flight: Flight, time_s: float) -> int:
         """The number of the newest map at a time of the flight; -1: there is none yet."""
@@ -117,25 +118,25 @@ class Replica:
         newest = self._known or known
         return replace(known, given=newest.given, guess_m=newest.guess_m), here_ne_m
 
-    def _read_some(self) -> bool:
-        """Take a few inputs; whether there were any."""
-        if self._inputs is None:
-            if not answer(lambda: (self._folder / FILE).stat().st_size > 0):
-                return False  # not begun yet
-            self._feeder = Feeder(flown_mission(self._folder))
-            self._inputs = InputsFile(self._folder / FILE)
-        told = list(islice(self._inputs, _STEPS))
-        for each in told:
-            self._take(each)
-        return bool(told)
+    def _replayed(self) -> Iterator[bool]:
+        """Take a few inputs at a time: whether there were any."""
+        file = self._folder / FILE
+        while not answer(lambda: file.stat().st_size > 0):
+            yield False  # it has not begun yet
+        feeder, inputs = Feeder(flown_mission(self._folder)), InputsFile(file)
+        while True:
+            told = list(islice(inputs, _STEPS))
+            for each in told:
+                feeder.take(each)
+                if each[0] != "start" and each[0] not in RUNTIME_RECORDS:
+                    self._note(feeder.session)
+            yield bool(told)
 
-    def _take(self, told: Input) -> None:
-        self._feeder.take(told)
-        session, (boot, before_s) = self._feeder.session, self.now
-        if told[0] == "start" or told[0] in RUNTIME_RECORDS:
-            return
+    def _note(self, session: Session) -> None:
+        """Keep what is known, if that is new."""
+        (boot, before_s), state = self.now, session.state
         self.now = boot + (session.now_s < before_s - _BEGUN_AGAIN_S), session.now_s
-        known, here = session.state.flight.known, session.state.vehicle.position_nea_m
+        known, here = state.flight.known, state.vehicle.position_nea_m
         if known is not self._known:
             self._known = known
             alone = replace(known, given=None, guess_m=None)  # these are always the same

@@ -1,4 +1,4 @@
-"""The page: a server on this computer that shows recordings, and what people do there.
+"""The page: a server on this computer that shows a recording, and what people do there.
 
 What people do comes from threads of the server; one thread reads and draws, ten times a second.
 """
@@ -7,29 +7,66 @@ import math
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Final, final
 
 import numpy as np
+import rich
 import viser
-from viser import uplot
 
+from companion.errors import InputError
 from companion.geodesy import FloatArray
 from companion.live_view import panel
 from companion.live_view.ground import Replica, ground_of
 from companion.live_view.recording import Recording
 from companion.live_view.scene import Scene
+from companion.sources.files import answer
 from companion.views.words import clock_text
 from companion.world.known_map import KnownMap
 
+_HOST: Final = "127.0.0.1"
 _PERIOD_S: Final = 0.1
 _READ_S: Final = 0.3
-_CHARTS_S: Final = 1.5
 _REPLAY_S: Final = 0.06  # of processor time in a period, for what was known of the ground
 _GROUND_S: Final = 1.0  # between two grounds: a browser draws each anew
 _SPEEDS: Final = ("1x", "5x", "20x", "60x", "300x")
 _OVERVIEW: Final = (np.array([-40.0, -76.0, 50.0]), np.array([2.0, -9.0, 0.0]))
 """All of the map, from the south-west: where the camera is, and what it looks at."""
 _NEAR, _FAR = 0.05, 2000.0
+
+
+def serve(
+    path: Path,
+    port: int,
+    on_ready: Callable[[str], None],
+    stopped: Callable[[], bool],
+    *,
+    system_id: int | None = None,
+    is_flown: bool = False,
+) -> None:
+    """Serve a run folder or a log until stopped.  InputError if that cannot be done.
+
+    port: 0: any that is free.  on_ready: told the address.  system_id: of the vehicle, of several
+    in a log.  is_flown: the flight is flown now: it may not have begun to be recorded.
+    """
+    rich.get_console().quiet = True  # viser prints a box about itself
+    server = viser.ViserServer(host=_HOST, port=port, verbose=False)
+    server.request_share_url = lambda **_: None  # type: ignore[method-assign]
+    try:
+        if port not in (0, server.get_port()):  # it takes the next one: people would look elsewhere
+            rule = f"{_HOST} cannot be served there: the port is taken, or not for users"
+            raise InputError("--view-port", port, rule, "Give another port, or 0.")
+        recording = None if is_flown else Recording(path, system_id)
+        on_ready(f"http://{_HOST}:{server.get_port()}/")
+        begun = [path / name for name in ("mission.toml", "flight.tlog")]
+        while recording is None and not stopped():
+            if all(answer(file.is_file) for file in begun):
+                recording = Recording(path, system_id)
+            time.sleep(_PERIOD_S)
+        if recording is not None:
+            Page(server, recording).run(stopped)
+    finally:
+        server.stop()
 
 
 @final
@@ -47,11 +84,10 @@ class Page:
         self._newest = True  # until somebody goes elsewhere
         self._followers: set[int] = set()
         self._here: FloatArray = np.zeros(3)
-        self._ground_at_s = self._read_at_s = self._charted_at_s = -math.inf
+        self._ground_at_s = self._read_at_s = -math.inf
         self._map_shown, self._slid_to_s = -1, 0.0
         self._known: KnownMap | None = None
         self._shown: tuple[object, ...] = ()
-        self._charted: tuple[object, ...] = ()
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(0, 80, 181))
         gui.set_panel_label("companion view")
@@ -80,11 +116,6 @@ class Page:
             self._events_style = gui.add_html("")
             self._events = gui.add_button_group("", ("none yet",))
             self._events.on_click(self._doing(lambda event: self.go_to_event(event.target.value)))
-        charts = gui.add_panel()
-        with charts.add_tab("charts"):
-            self._charts = [_chart(gui, title, lines) for title, lines in panel.CHARTS.items()]
-        charts.dock_left()
-        charts.set_width(300)
 
     # --- what people do
 
@@ -165,15 +196,9 @@ class Page:
             self._time_s = min(self._time_s + passed_s * self._speed, recording.ends_s)
         behind = self._show_ground(self._scene, now_s)
         shown = (self._time_s, self._map_shown, behind)
-        charted = (recording.ends_s, self._map_shown)
         if shown != self._shown:
             self._shown = shown
             self._show(self._scene, behind)
-        if charted != self._charted and now_s - self._charted_at_s >= _CHARTS_S:
-            self._charted_at_s, self._charted = now_s, charted
-            charts = panel.charts_of(recording, self._known)
-            for chart, data in zip(self._charts, charts, strict=True):
-                chart.scales, chart.data = _scales(data), data
 
     def _show_ground(self, scene: Scene, now_s: float) -> str:
         """Show what was known of the ground; what of that is not up to date."""
@@ -198,36 +223,11 @@ class Page:
             if client.client_id in self._followers:
                 client.camera.position = client.camera.position + (self._here - before)
         known = None if behind else self._known
-        self._status.content = panel.status_html(
-            recording, known, self._time_s, behind, scene.area.stretch
-        )
+        drawn = panel.status_html(recording, known, self._time_s, behind, scene.area.stretch)
+        self._status.content = drawn
         lines, self._events_style.content = panel.event_list(recording.events, self._time_s)
         self._events.options = lines or ("none yet",)
         self._slider.max = max(round(recording.ends_s + 0.05, 1), 0.1)
         if self._time_s != self._slid_to_s:  # else it may have been moved just now, untold yet
             self._slid_to_s = self._time_s
             self._slider.value = round(self._time_s, 1)
-
-
-def _chart(gui: viser.GuiApi, title: str, lines: dict[str, str]) -> Any:
-    lines_of = [uplot.Series(label=name, stroke=c, width=2) for name, c in lines.items()]
-    return gui.add_uplot(
-        tuple(np.zeros(0) for _ in range(1 + len(lines))),
-        (uplot.Series(label="time, s"), *lines_of),
-        title=title,
-        scales={"x": uplot.Scale(time=False)},
-        legend=uplot.Legend(show=len(lines) > 1, live=False),
-        aspect=1.75,
-    )
-
-
-def _scales(data: tuple[FloatArray, ...]) -> dict[str, uplot.Scale]:
-    """Ranges of the axes, by hand: a gap in the data leaves the page none to find."""
-    values = np.concatenate(data[1:])
-    values = values[np.isfinite(values)]
-    low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
-    margin = max(0.06 * (high - low), 1e-3 + 1e-3 * abs(high))
-    return {
-        "x": uplot.Scale(time=False, range=(0.0, float(max([1.0, *data[0][-1:]])))),
-        "y": uplot.Scale(range=(low - margin, high + margin)),
-    }

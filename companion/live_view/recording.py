@@ -6,8 +6,6 @@ Nothing here asks the companion: whoever watches a flight cannot slow it down.
 from pathlib import Path
 from typing import Final, NamedTuple, final
 
-import numpy as np
-
 from companion.errors import InputError
 from companion.mavlink.dialect import wire
 from companion.replay.exporting import mission_of
@@ -22,7 +20,6 @@ BATTERY: Final = wire.MAVLINK_MSG_ID_SYS_STATUS
 SECTORS: Final = wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE
 _TEXT: Final = wire.MAVLINK_MSG_ID_STATUSTEXT
 _KEPT: Final = (BATTERY, SECTORS, _TEXT)
-_RATE_OVER_S: Final = 5.0
 
 
 class Event(NamedTuple):
@@ -81,9 +78,3 @@ class Recording:
     def ends_s(self) -> float:
         """When its last position was."""
         return float(self.flight.times_s[-1]) if len(self.flight.times_s) else 0.0
-
-    def rate_hz(self, time_s: float) -> float:
-        """How often positions came, lately."""
-        times_s = [time_s - _RATE_OVER_S, time_s]
-        after, until = np.searchsorted(self.flight.times_s, times_s, "right")
-        return float(until - after) / _RATE_OVER_S

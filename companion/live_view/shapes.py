@@ -14,13 +14,13 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 from companion.geodesy import FloatArray
-from companion.live_view.ground import GUESSED, PROVEN, Ground
+from companion.live_view.ground import Ground
 from companion.telemetry.flight import Flight
 
 WIDTH: Final = 100.0  # of the scene
 _HEIGHT: Final = 0.11  # of the range of altitudes that matters, in widths: mountains are seen
 _NEAR_M: Final = 1000.0  # wide: a map of near things
-_STRETCHES: Final = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 8.0)
+_MOST_STRETCHED: Final = 8.0
 BELOW: Final = 0.25  # of the ground: there lies what is not known
 _TINTS: Final = Image.fromarray(
     np.array(
@@ -77,9 +77,10 @@ class Area(NamedTuple):
     @property
     def stretch(self) -> float:
         """How many times larger heights are drawn: mountains are seen from above; trees are not."""
-        is_near, high_m = self.width_m < _NEAR_M, max(self.high_m - self.low_m, 1.0)
-        wanted = 1.0 if is_near else _HEIGHT * self.width_m / high_m
-        return max(each for each in _STRETCHES if each <= max(wanted, 1.0))
+        if self.width_m < _NEAR_M:
+            return 1.0
+        wanted = _HEIGHT * self.width_m / max(self.high_m - self.low_m, 1.0)
+        return min(max(math.floor(2.0 * wanted) / 2.0, 1.0), _MOST_STRETCHED)
 
     def scene(self, places_nea_m: FloatArray) -> FloatArray:
         """Places in the scene.  (..., 3) north, east, altitude -> (..., 3) x, y, z."""
@@ -99,32 +100,21 @@ class Area(NamedTuple):
 # --- the ground
 
 
-def proven_mesh(ground: Ground, area: Area) -> trimesh.Trimesh | None:
-    """The proven ground in colours by altitude, darkest a little above the area; None: nothing."""
-    proven = ground.kind == PROVEN
-    if not proven.any():
-        return None
-    mesh = _cells_mesh(ground, area, proven)
+def painted(mesh: Mesh, area: Area) -> trimesh.Trimesh:
+    """Ground in colours by altitude, darkest a little above the area."""
     top = area.high_m + 0.1 * (area.high_m - area.low_m)
     share = mesh.vertices[:, 2] / max(area.scene(np.array([0.0, 0.0, top]))[2], 1e-3)
     uv = np.stack([share.clip(0.01, 0.99), np.full(len(share), 0.5)], axis=-1)
     matt = PBRMaterial(baseColorTexture=_TINTS, metallicFactor=0.0, doubleSided=True)  # type: ignore[no-untyped-call]
-    painted = TextureVisuals(uv=uv, material=matt)  # type: ignore[no-untyped-call]
-    drawn = trimesh.Trimesh(mesh.vertices, mesh.faces, visual=painted, process=False)
+    colours = TextureVisuals(uv=uv, material=matt)  # type: ignore[no-untyped-call]
+    drawn = trimesh.Trimesh(mesh.vertices, mesh.faces, visual=colours, process=False)
     assert drawn.vertex_normals is not None  # asked for, they are kept, and it is drawn smooth
     return drawn
 
 
-def guessed_mesh(ground: Ground, area: Area) -> Mesh | None:
-    """The guessed ground."""
-    guessed = ground.kind == GUESSED
-    if not guessed.any():
-        return None
-    return _cells_mesh(ground, area, guessed)
-
-
-def _cells_mesh(ground: Ground, area: Area, drawn: NDArray[np.bool_]) -> Mesh:
-    """A quad for each drawn cell; corners are as high as the drawn cells about them in the mean."""
+def cells_mesh(ground: Ground, area: Area, kind: int) -> Mesh:
+    """A quad for each cell of a kind; corners are as high as those about them in the mean."""
+    drawn = ground.kind == kind
     height = np.pad(np.where(drawn, ground.height_m, 0.0).astype(np.float64), 1)
     total, number = (
         each[:-1, :-1] + each[1:, :-1] + each[:-1, 1:] + each[1:, 1:]

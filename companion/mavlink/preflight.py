@@ -287,7 +287,8 @@ def _fence(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check
         what = "it is being read" if is_known else "it is drawn about home, which is not known"
         yield _check("fence", False, what, "Wait for it.")
     targets = len(state.targets_ne_m)
-    yield _check("targets", targets > 0, f"{targets} targets", "Upload a mission with waypoints.")
+    what = f"{targets} target{'' if targets == 1 else 's'}"
+    yield _check("targets", targets > 0, what, "Upload a mission with waypoints.")
     if landing := stopped.landing_words(state, session.context):
         yield _remark("landing", landing)
 

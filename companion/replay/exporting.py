@@ -2,7 +2,7 @@
 
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from companion.config import elevation_file, load_mission, refuse_older
 from companion.errors import InputError
@@ -15,8 +15,10 @@ from companion.telemetry.flight import Flight
 from companion.telemetry.journal import Journal
 from companion.telemetry.logs import open_log
 from companion.telemetry.run_folder import known_map
-from companion.views.report_facts import FlightFacts
 from companion.world.known_map import KnownMap
+
+if TYPE_CHECKING:
+    from companion.views.report import FlightFacts
 
 _NO_VEHICLE_BYTES: Final = 1000  # a few heartbeats of a companion that has met nobody
 _NOT_NEEDED: Final = "terrain={highest_amsl_m = -500.0}"
@@ -77,8 +79,10 @@ def write_report(run_dir: Path, out: Path | None) -> tuple[str, ...]:
     return (*(f"note: {note}" for note in facts.notes), f"report: {file}")
 
 
-def facts_of(run_dir: Path) -> FlightFacts:
+def facts_of(run_dir: Path) -> "FlightFacts":
     """What there is of the flight in a run folder.  Raises InputError without the essential."""
+    from companion.views.report import FlightFacts  # slow to import
+
     (flight, notes), odd = recorded(run_dir), list[str]()
     known, run = _known(run_dir, odd), _run(run_dir, odd)
     return FlightFacts(

@@ -17,9 +17,17 @@ from companion.errors import CompanionError
 from companion.mission.events import End, Outcome
 from companion.telemetry.flight_status import FlightBegun, FlightEnded, FlightStatus
 from companion.views.output import PatientOutput
-from companion.views.words import clock_text, metres, metres_at_least, rounded_down
+from companion.views.words import (
+    at_least,
+    at_most,
+    clock_text,
+    counted,
+    metres,
+    metres_at_least,
+    number,
+)
 
-_SHOWN_S = 0.25  # between two pictures of a flight in which nothing happens
+_SHOWN_S = 0.5  # between two pictures of a flight in which nothing happens
 _CRASHED, _INTERRUPTED = 70, 130
 _CELLS, _HEADING = 2, 9  # values in a row of 80 columns, and columns of what each is
 _SEVERE, _NOTABLE = "bold red", "yellow"
@@ -28,6 +36,7 @@ _PHASES: Final = {
     **dict.fromkeys(("holding", "handing over"), "bold yellow"),
     "faulted": _SEVERE,
 }
+_IN_LINE: Final = ("to go", "altitude", "last plan", "proof")
 _SLOW_S, _SILENT_S = 1.0, 3.0  # of the link
 _LOSSY, _LOW = 0.05, 0.1  # share of the frames; of the battery, above the reserve
 
@@ -53,14 +62,13 @@ class Progress:
         """Show the flight as it stands now; to be called often."""
         now_s, lines = time.monotonic(), list(self._lines(status))
         redraws = self._redraws and status.waits_for is None  # else it hides what is typed
-        if self._redraws and redraws is not self._live.is_started:
+        if redraws is not self._live.is_started:
             self._live.start() if redraws else self._live.stop()
         for line in lines:
             self._console.print(line, highlight=False, soft_wrap=not self._redraws, markup=False)
-        if not lines and now_s - self._shown_s < _SHOWN_S:
-            return
-        self._shown_s = now_s
-        if redraws and not self._output.is_behind:
+        is_due = bool(lines) or now_s - self._shown_s >= _SHOWN_S
+        if redraws and is_due and not self._output.is_behind:
+            self._shown_s = now_s
             self._live.update(status_table(status), refresh=True)
 
     def _lines(self, status: FlightStatus) -> Iterator[str]:
@@ -73,13 +81,10 @@ class Progress:
             yield progress_line(status)
 
     def __enter__(self) -> Self:
-        if self._redraws:
-            self._live.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._redraws:
-            self._live.stop()
+        self._live.stop()
 
 
 @final
@@ -145,16 +150,9 @@ def _notice(status: FlightStatus) -> str:
 
 def progress_line(status: FlightStatus) -> str:
     """What has just happened, and how the flight stands."""
+    told = {heading: text for heading, text, _ in _values(status)}
     parts = [f"t {status.t_s:7.1f} s", f"{status.phase:<10}"]
-    if status.to_go_m is not None and status.altitude_amsl_m is not None:
-        parts.append(f"to go {metres(status.to_go_m):>8}  {status.altitude_amsl_m:5.0f} m AMSL")
-    if status.plan_cost is not None:
-        parts.append(f"subpath {status.subpaths_flown:2d}  cost {status.plan_cost:5.2f}")
-        parts.append(f"clearance {_proof(status):>10}")
-    if status.plan_took_s is not None:
-        parts.append(f"planned in {status.plan_took_s * 1e3:4.0f} ms")
-    if status.times_real_time is not None:
-        parts.append(f"{status.times_real_time:4.0f}x real time")
+    parts += (f"{each} {told[each]}" for each in _IN_LINE if told.get(each, "-") != "-")
     if notice := _notice(status):
         parts.append(f"({notice})")
     return "  ".join(parts)
@@ -182,15 +180,15 @@ def status_table(status: FlightStatus) -> Group:
 
 def _values(status: FlightStatus) -> Iterator[tuple[str, str, str]]:
     """Heading, at most 9 characters, text, at most 28, and style; the most important first."""
+    to_go_m, altitude_m, off_m = status.to_go_m, status.altitude_amsl_m, status.off_path_m
     left = "" if status.time_left_s is None else f", in {clock_text(status.time_left_s)}"
-    yield "to go", "-" if status.to_go_m is None else f"{metres(status.to_go_m)}{left}", ""
+    yield "to go", "-" if to_go_m is None else f"{metres(to_go_m)}{left}", ""
     above = "" if status.above_ground_m is None else f", {status.above_ground_m:.0f} m AGL"
-    altitude_m = status.altitude_amsl_m
     yield "altitude", "-" if altitude_m is None else f"{altitude_m:.0f} m AMSL{above}", ""
     course_rad = status.course_rad
     course = "" if course_rad is None else f" to {round(math.degrees(course_rad)) % 360:03d}"
-    speed = f"{status.speed_m_s:.{0 if status.speed_m_s > 99.0 else 1}f} m/s"
-    yield "speed", f"{speed}{course}, climb {status.climb_m_s:+.1f}", ""
+    speed = number(status.speed_m_s, 0 if status.speed_m_s > 99.0 else 1)
+    yield "speed", f"{speed} m/s{course}, climb {status.climb_m_s:+.1f}", ""
     clear_m, least_m = status.clearance_m, status.safety_distance_m
     if clear_m is None:
         yield "clearance", "-", ""
@@ -199,40 +197,34 @@ def _values(status: FlightStatus) -> Iterator[tuple[str, str, str]]:
         is_near = clear_m < least_m and status.subpaths_flown > 0
         text = f"{more}{metres_at_least(clear_m)} (d_s {metres(least_m)})"
         yield "clearance", text, _SEVERE if is_near else ""
-    yield "off path", "-" if status.off_path_m is None else f"{status.off_path_m:.1f} m", ""
+    yield "off path", "-" if off_m is None else f"{off_m:.1f} m", ""
     share, reserve = status.battery_left, status.battery_reserve
     if share is None:
         yield "battery", "not told", ""
     else:
         style = _SEVERE if share <= reserve else _NOTABLE if share <= reserve + _LOW else ""
-        text = f"{rounded_down(100.0 * share):.0f}% (reserve {100.0 * reserve:g}%)"
-        yield "battery", text, style
+        yield "battery", f"{at_least(100.0 * share)}% (reserve {100.0 * reserve:g}%)", style
     age_s, lost = status.link_age_s, status.frames_lost
     if age_s is None:
         yield "link", "nothing heard", _NOTABLE
     else:
         share = lost / max(status.frames_heard + lost, 1)
         is_bad = age_s > _SLOW_S or share > _LOSSY
-        text = f"{age_s:.1f} s old, {math.ceil(100.0 * share - 1e-6)}% lost"
-        yield "link", text, _SEVERE if age_s > _SILENT_S else _NOTABLE if is_bad else ""
+        style = _SEVERE if age_s > _SILENT_S else _NOTABLE if is_bad else ""
+        yield "link", f"{age_s:.1f} s old, {at_most(100.0 * share)}% lost", style
     mode = f"{status.mode or '-'}, {'armed' if status.armed else 'disarmed'}"
     yield "mode", *((f"{mode}, FAILSAFE", _SEVERE) if status.failsafe else (mode, ""))
-    took = "-" if status.plan_took_s is None else f"took {status.plan_took_s * 1e3:.0f} ms"
-    cost = "" if status.plan_cost is None else f"cost {status.plan_cost:.2f}, "
-    yield "last plan", f"{cost}{took}", ""
-    if status.plans_failed:
-        yield "proof", f"failed {status.plans_failed} times", _NOTABLE
-    elif status.plan_cost is not None:
-        style = _SEVERE if status.plan_clearance_m is None else ""
-        yield "proof", f"{_proof(status)} to terrain", style
+    took_s, cost = status.plan_took_s, status.plan_cost
+    took = "-" if took_s is None else f"took {1e3 * took_s:.0f} ms"
+    yield "last plan", took if cost is None else f"cost {cost:.2f}, {took}", ""
+    proven_m, failures = status.plan_clearance_m, status.plans_failed
+    if failures:
+        yield "proof", f"failed {counted(failures, 'time')}", _NOTABLE
+    elif cost is not None:
+        proof = "not proven" if proven_m is None else metres_at_least(proven_m)
+        yield "proof", f"{proof} to terrain", _SEVERE if proven_m is None else ""
     pace = status.times_real_time
     yield "time", f"{status.t_s:.0f} s{'' if pace is None else f', {pace:.0f}x real time'}", ""
-
-
-def _proof(status: FlightStatus) -> str:
-    """The clearance that is proven for the newest plan."""
-    clear_m = status.plan_clearance_m
-    return "not proven" if clear_m is None else metres_at_least(clear_m)
 
 
 def _notes(status: FlightStatus) -> Iterator[Text]:

@@ -30,10 +30,6 @@ class PatientOutput(io.TextIOBase):
         So the end of the program does not wait for it either.
         """
         self._stream = stream
-        try:
-            self._descriptor: int | None = stream.fileno()
-        except (OSError, ValueError):
-            self._descriptor = None
         self._texts: queue.Queue[str | None] = queue.Queue()
         self._gone = False
         self._thread = threading.Thread(target=self._run, name="output", daemon=True)
@@ -75,23 +71,20 @@ class PatientOutput(io.TextIOBase):
         self._thread.join(_LEAVES_S)
 
     def _run(self) -> None:
-        goes_on = True
-        while goes_on:
-            text = self._texts.get()
-            goes_on = text is not None
+        while (text := self._texts.get()) is not None:
             try:
-                self._put(text or "")
+                if not self._gone:
+                    self._put(text)
             except (OSError, ValueError):  # the reader has left: so be it
                 self._gone = True
             self._texts.task_done()
 
     def _put(self, text: str) -> None:
-        if self._gone:
-            return
-        if self._descriptor is None:
+        try:
+            descriptor = self._stream.fileno()
+        except io.UnsupportedOperation:  # it is in memory
             self._stream.write(text)
-            self._stream.flush()
             return
         left = memoryview(text.encode(self.encoding, errors="replace"))
         while left:
-            left = left[os.write(self._descriptor, left) :]
+            left = left[os.write(descriptor, left) :]

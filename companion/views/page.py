@@ -12,8 +12,8 @@ from typing import Any, Final
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
+from companion.views import words
 from companion.views.figure import DPI
-from companion.views.words import metres, metres_at_least, rounded_down
 
 STYLE: Final[Any] = {
     "svg.fonttype": "none",  # text stays text: it can be searched, and is small
@@ -32,30 +32,11 @@ def page(template: str, package: str = "views", **values: object) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    pages.filters |= {"metres": metres, "metres_at_least": metres_at_least, "number": number}
-    pages.filters |= {"at_least": at_least, "at_most": at_most, "degrees": _degrees}
+    pages.filters |= {"number": words.number, "counted": words.counted, "degrees": math.degrees}
+    pages.filters |= {"at_least": words.at_least, "at_most": words.at_most}
+    pages.filters |= {"metres": words.metres, "metres_at_least": words.metres_at_least}
+    pages.filters["clock_text"] = words.clock_text
     return pages.get_template(template).render(**values)
-
-
-def number(value: float | None, digits: int = 0) -> str:
-    """A number, or a dash if it is not known or unbounded."""
-    if value is None or not math.isfinite(value):
-        return "–"
-    return f"{round(value, digits) + 0.0:,.{digits}f}"
-
-
-def at_least(value: float | None, digits: int = 0) -> str:
-    """Likewise, rounded down: a clearance must not look larger than it is."""
-    return number(None if value is None else rounded_down(value, digits), digits)
-
-
-def at_most(value: float, digits: int = 0) -> str:
-    """Likewise, rounded up: a risk must not look smaller than it is."""
-    return number(-rounded_down(-value, digits), digits)
-
-
-def _degrees(angle_rad: float) -> str:
-    return f"{number(math.degrees(angle_rad), 1)}°"
 
 
 def svg(name: str, canvas: Figure) -> str:

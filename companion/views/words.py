@@ -1,6 +1,7 @@
-"""The entries of a journal in words, for people."""
+"""Lengths, numbers, times and the entries of a journal in words, for people."""
 
 import math
+from collections.abc import Callable
 from typing import Final
 
 from companion.mission import events
@@ -8,6 +9,7 @@ from companion.mission import journal as noted
 from companion.mission.journal import Entry
 from companion.mission.state import Phase
 
+_KM_FROM_M: Final = 10_000.0
 _BAD_PHASES: Final = [each.value for each in (Phase.HOLDING, Phase.FAULTED, Phase.HANDING_OVER)]
 _WORDS: Final[dict[type[Entry], str]] = {
     noted.LegBegun: "begins subpath {0.number}",
@@ -62,30 +64,53 @@ def entry_words(entry: Entry) -> tuple[str, bool] | None:
     return None if words is None else (words.format(entry) + after, is_bad)
 
 
-def metres(length_m: float) -> str:
-    """A length as people read it."""
-    if not math.isfinite(length_m):
-        return "-"
-    if abs(length_m) >= 10_000.0:
-        return f"{length_m / 1000.0:,.1f} km"
-    return f"{length_m:,.{0 if abs(length_m) >= 50.0 else 1 if abs(length_m) >= 5.0 else 2}f} m"
+# --- numbers
 
 
-def rounded_down(value: float, digits: int = 0) -> float:
-    """What must not look more than it is, as a clearance."""
+def counted(count: int, thing: str) -> str:
+    """How many there are, of one or of several."""
+    return f"{count:,} {thing}" if count == 1 else f"{count:,} {thing}s"
+
+
+def number(value: float | None, digits: int = 0) -> str:
+    """A number, or a dash if it is not known or unbounded."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    return f"{round(value, digits) + 0.0:,.{digits}f}"
+
+
+def at_least(value: float, digits: int = 0) -> str:
+    """Likewise, rounded down: a clearance must not look larger than it is."""
+    return number(_rounded_down(value, digits), digits)
+
+
+def at_most(value: float, digits: int = 0) -> str:
+    """Likewise, rounded up: a risk must not look smaller than it is."""
+    return number(-_rounded_down(-value, digits), digits)
+
+
+def _rounded_down(value: float, digits: int) -> float:
     scale = 10.0**digits
     return math.floor(value * scale + 1e-6) / scale if math.isfinite(value) else value
 
 
+def metres(length_m: float) -> str:
+    """A length as people read it."""
+    return _length(length_m, number)
+
+
 def metres_at_least(length_m: float) -> str:
     """As `metres`, rounded down."""
-    digits = 0 if abs(length_m) >= 50.0 else 1 if abs(length_m) >= 5.0 else 2
-    return metres(rounded_down(length_m, -2 if abs(length_m) >= 10_000.0 else digits))
+    return _length(length_m, at_least)
 
 
-def share_of(part: float) -> str:
-    """A part of a whole in percent, rounded down: all of it is only all of it."""
-    return f"{math.floor(1000.0 * part + 1e-6) / 10.0:g}%"
+def _length(length_m: float, rounded: Callable[[float, int], str]) -> str:
+    if not math.isfinite(length_m):
+        return "-"
+    size_m = abs(length_m)
+    if size_m >= _KM_FROM_M:
+        return f"{rounded(length_m / 1000.0, 1)} km"
+    return f"{rounded(length_m, 0 if size_m >= 50.0 else 1 if size_m >= 5.0 else 2)} m"
 
 
 def clock_text(time_s: float) -> str:

@@ -155,17 +155,19 @@ def test_what_a_lidar_passed_over_is_shown_for_a_second(
     told = [65_535, *[5_000] * 71]
     message = wire.MAVLink_obstacle_distance_message(0, 0, told, 5, 20, 16_000, 5.0, 0.0, 12)
     frame = bytes(message.pack(wire.MAVLink(None, srcSystem=1, srcComponent=196)))
-    flight, handles = recording.flight, server.scene._handle_from_node_name
+    flight = recording.flight
     flight.look(int(flight.track.time_us[-1]) - 900_000, frame)
     scene = Scene(server, flight)
     scene.show(recording.ends_s)
-    fan = handles["/sweep/sectors"]
-    middle, *rim = np.asarray(fan.vertices, dtype=float)
-    away = np.linalg.norm(np.array(rim) - middle, axis=1)
-    assert len(fan.faces) == 71
-    assert away[2:] == pytest.approx(50.0 * WIDTH / scene.area.width_m, rel=1e-3)
+    beams = np.asarray(server.scene.get_handle_by_name("/sweep").points, dtype=float)
+    away = np.linalg.norm(beams[:, 1] - beams[:, 0], axis=1)
+    assert len(beams) == 71
+    assert away == pytest.approx(50.0 * WIDTH / scene.area.width_m, rel=1e-3)
+    at_rad = flight.heading_rad(len(flight.times_s) - 1) + math.radians(5.0)  # the second sector
+    ahead = np.array([math.sin(at_rad), math.cos(at_rad)])
+    assert (beams[0, 1] - beams[0, 0])[:2] / away[0] == pytest.approx(ahead, abs=1e-2)
     scene.show(recording.ends_s - 1.0)
-    assert "/sweep/sectors" not in handles
+    assert not np.any(server.scene.get_handle_by_name("/sweep").points)
 
 
 def test_trees_hide_no_vehicle_that_flies_between_them() -> None:

@@ -285,6 +285,14 @@ def climbs(it: Pair) -> bool:
     return it.session.state.phase in (Phase.ARMING, Phase.TAKING_OFF)
 
 
+def test_one_target_is_not_told_as_several() -> None:
+    looked = Pair(**THEIRS)
+    draws((16, 0.0, 300.0, 100.0), kind=0)(looked)
+    looked.looked_at(9.0)
+    assert "1 target" in looked.words("targets")
+    assert "targets" not in looked.words("targets")
+
+
 @pytest.mark.parametrize("setup", SETUPS)
 def test_what_fly_refuses_is_refused_here_and_the_other_way_round(setup: str) -> None:
     check, verdict, words, change, keywords = SETUPS[setup]

@@ -9,11 +9,13 @@ import lxml.etree
 import matplotlib._pylab_helpers
 import numpy as np
 import pytest
+from matplotlib.patches import Circle
 
+from companion.config import load_mission
 from companion.geodesy import FloatArray
 from companion.telemetry.export.shapes import highest
 from companion.views import figure as views
-from companion.views.figure import FlightFigure, compose, draw
+from companion.views.figure import FlightFigure, compose, save
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.radars import Radar
 from companion.world.zones import CircleZone, PolygonZone
@@ -38,19 +40,23 @@ def a_flight() -> FlightFigure:
     u = np.linspace(0.0, 1.0, 60)
     first = np.stack([500 + 2000 * u, 500 + 1500 * u, 520 + 60 * u], axis=-1)
     second = np.stack([2500 + 1000 * u, 2000 + 2300 * u, 580 - 20 * u], axis=-1)
+    task = load_mission("environment-1").task
+    task = replace(
+        task,
+        limits=replace(task.limits, floor_amsl_m=450.0, ceiling_amsl_m=700.0),
+        radars=(Radar(name="r", centre_nea_m=(4000.0, 1000.0, 100.0), range_m=700.0),),
+        zones=(CircleZone(name="c", north_m=800.0, east_m=3500.0, radius_m=400.0),),
+    )
     return FlightFigure(
         title="a flight of $5 worth_of words",
         caption="one line",
+        task=task,
         known=hilly(),
-        floor_amsl_m=450.0,
-        ceiling_amsl_m=700.0,
         start_nea_m=(500.0, 500.0, 520.0),
         targets_ne_m=((3500.0, 4300.0),),
         legs_nea_m=(first, second),
         scans_nea_m=((500.0, 500.0, 520.0), (1500.0, 1250.0, 550.0)),
-        radars=(Radar(name="r", centre_nea_m=(4000.0, 1000.0, 100.0), range_m=700.0),),
-        zones=(
-            CircleZone(name="c", north_m=800.0, east_m=3500.0, radius_m=400.0),
+        vehicle_zones=(
             PolygonZone(name="p", vertices_ne_m=((4500, 3000), (4900, 3100), (4700, 3500))),
         ),
     )
@@ -89,7 +95,7 @@ def test_the_same_flight_gives_the_same_picture_of_the_kind_that_is_named(
     """The terrain of an .svg is an image, and its lines are lines."""
     one, two = tmp_path / f"one{suffix}", tmp_path / f"two{suffix}"
     for path in (one, two):
-        draw(a_flight(), path)
+        save(compose(a_flight()), path)
     assert not matplotlib._pylab_helpers.Gcf.figs  # none stays open
     assert one.read_bytes().startswith(begin)
     assert one.read_bytes() == two.read_bytes()
@@ -101,34 +107,36 @@ def test_the_same_flight_gives_the_same_picture_of_the_kind_that_is_named(
 
 def test_the_plan_shows_the_path_in_kilometres_and_radars_as_wide_as_within_the_band() -> None:
     plan = axes_of(a_flight())["plan"]
-    np.testing.assert_allclose(line_of(plan, "planned path"), PATH[:, [1, 0]] / 1000.0)
-    assert [plan.get_xlim(), plan.get_ylim()] == [pytest.approx((0.0, 5.0))] * 2
+    np.testing.assert_allclose(line_of(plan, "planned path"), PATH[:, [1, 0]])
+    assert [plan.get_xlim(), plan.get_ylim()] == [pytest.approx((0.0, 5000.0))] * 2
+    assert "km" in plan.get_xlabel()
+    assert plan.xaxis.get_major_formatter()(2500.0) == "2.5"
     assert plan.get_aspect() == 1.0
     assert "unknown ground" not in labels_of(plan)
-    radii = {p.get_label(): p.get_radius() for p in plan.patches if hasattr(p, "get_radius")}
-    above_km = 0.35  # the band begins so far above the radar
-    assert radii["radar, within the band"] == pytest.approx(math.sqrt(0.7**2 - above_km**2))
-    assert radii["radar, full range"] == pytest.approx(0.7)
+    (radius_m,) = (patch.get_radius() for patch in plan.patches if isinstance(patch, Circle))
+    above_m = 350.0  # the band begins so far above the radar
+    assert radius_m == pytest.approx(math.sqrt(700.0**2 - above_m**2))
+    assert sum(patch.get_label() == "keep-out" for patch in plan.patches) == 2
 
 
 def test_the_profile_shows_the_terrain_under_the_path_and_the_path_over_it() -> None:
     profile = axes_of(a_flight())["profile"]
     under, over = (line_of(profile, n) for n in ("terrain under the path", "planned path"))
     middles = (np.floor(PATH[:, :2] / CELL_M) + 0.5) * CELL_M  # of the cell that holds the point
-    np.testing.assert_allclose(under[:, 1], hill(middles[:, 0], middles[:, 1]) / 1000.0)
-    np.testing.assert_allclose(over[:, 1], PATH[:, 2] / 1000.0)
-    first_km, second_km = math.hypot(2.0, 1.5), math.hypot(1.0, 2.3)
-    assert over[-1, 0] == pytest.approx(first_km + second_km)
-    assert line_of(profile, "scan (p_scan)")[1, 0] == pytest.approx(first_km / 2, abs=0.03)
+    np.testing.assert_allclose(under[:, 1], hill(middles[:, 0], middles[:, 1]))
+    np.testing.assert_allclose(over[:, 1], PATH[:, 2])
+    first_m, second_m = math.hypot(2000.0, 1500.0), math.hypot(1000.0, 2300.0)
+    assert over[-1, 0] == pytest.approx(first_m + second_m)
+    assert line_of(profile, "scan (p_scan)")[1, 0] == pytest.approx(first_m / 2, abs=30.0)
 
 
 def test_the_flown_track_is_drawn_at_the_nearest_place_of_the_path_or_is_its_own() -> None:
     higher = axes_of(replace(a_flight(), track_nea_m=np.add(PATH, (0.0, 0.0, 7.0))))["profile"]
-    expected = np.add(line_of(higher, "planned path"), (0.0, 0.007))
-    np.testing.assert_allclose(line_of(higher, "flown track"), expected, atol=1e-12)
+    expected = np.add(line_of(higher, "planned path"), (0.0, 7.0))
+    np.testing.assert_allclose(line_of(higher, "flown track"), expected, atol=1e-9)
     alone = axes_of(replace(a_flight(), legs_nea_m=(), track_nea_m=PATH))
     assert "planned path" not in labels_of(alone["plan"])
-    np.testing.assert_allclose(line_of(alone["profile"], "flown track")[:, 1], PATH[:, 2] / 1000.0)
+    np.testing.assert_allclose(line_of(alone["profile"], "flown track")[:, 1], PATH[:, 2])
 
 
 @pytest.mark.usefixtures("coarse")
@@ -143,8 +151,10 @@ def test_unknown_ground_is_shown_as_unknown_and_there_is_a_picture_of_nothing_el
     in_corner = (PATH[:, :2] < 60 * CELL_M).all(axis=1)
     assert in_corner.any()
     np.testing.assert_array_equal(np.isnan(under[:, 1]), in_corner)
+    (hatched,) = (each for each in axes["profile"].collections if each.get_hatch())
+    assert [len(each.vertices) > 0 for each in hatched.get_paths()] == [True]  # along the corner
     flight.known.upper_m[:] = math.inf
-    draw(replace(flight, legs_nea_m=()), tmp_path / "flight.png")
+    save(compose(replace(flight, legs_nea_m=())), tmp_path / "flight.png")
 
 
 @pytest.mark.parametrize("step", [1, 7, 40])

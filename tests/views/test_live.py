@@ -156,6 +156,24 @@ def test_what_is_wrong_is_told_without_colours_too(statuses: list[FlightStatus])
     assert "\x1b[1;31m" in shown(bad, 80, force_terminal=True, color_system="standard")
 
 
+def test_what_is_near_is_wrong_in_flight_alone_and_a_reason_is_told_once(
+    statuses: list[FlightStatus],
+) -> None:
+    quiet = replace(statuses[-1], reason=None, warning=None, refusal=None, plans_failed=0)
+    for flown in (0, 1):
+        near = shown(replace(quiet, clearance_m=3.0, subpaths_flown=flown), 200)
+        assert ("! 3.00 m (d_s" in near) is (flown > 0)
+    for failures in (0, 2):
+        refused = shown(replace(quiet, refusal="out of time", plans_failed=failures), 200)
+        assert ("! out of time" in refused) is (failures > 0)
+        assert ("! failed 2 times" in refused) is (failures > 0)
+    for warning, count in (("hold: no fix", 1), ("no", 1), ("low battery", 2)):
+        told = shown(replace(quiet, reason="no fix", remedy="Wait", warning=warning), 200)
+        assert "! no fix. Wait" in told
+        assert sum(line.startswith("! ") for line in told.splitlines()[-count:]) == count
+        assert (f"! {warning}" in told.replace("! no fix. Wait", "")) is (count > 1)
+
+
 ENDS: dict[str, tuple[str | None, BaseException | None, tuple[str, str, int]]] = {
     "arrived": ("ARRIVED", None, ("arrived", "there", 0)),
     "failed": ("FAILED", FlightFailed("silent", "Look."), ("failed", "silent. Look.", 1)),

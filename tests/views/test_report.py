@@ -22,7 +22,7 @@ from tlog import frames_of
 
 from companion.config import load_mission
 from companion.replay.exporting import facts_of, write_report
-from companion.views.report_facts import FlightFacts
+from companion.views.report import FlightFacts
 from companion.world.known_map import KnownMap, digest_of, empty_map, packed_map
 
 GEOD = pyproj.Geod(ellps="WGS84")
@@ -143,12 +143,10 @@ def test_the_numbers_are_those_of_the_positions_from_the_end_of_the_climb_to_the
     # those within the range of the radar
     to_radar_m = np.linalg.norm(places - RADAR_NEA_M, axis=1)
     within = to_radar_m[:-1] <= RANGE_M
-    steps_m = np.linalg.norm(np.diff(places, axis=0), axis=1)
     exposure = facts.exposure
     assert exposure.radar == "near <&>"
     assert exposure.duration_s == pytest.approx(np.diff(times_s)[within].sum(), abs=0.2)
     assert exposure.duration_s > 5.0
-    assert exposure.length_m == pytest.approx(steps_m[within].sum(), rel=0.02)
     detection = RANGE_M**4 / (RANGE_M**4 + to_radar_m.min() ** 4)
     assert exposure.detection == pytest.approx(detection, rel=1e-6)
 
@@ -170,7 +168,6 @@ def test_times_without_a_fix_and_gaps_of_setpoints_are_those_of_the_log(copy: Pa
     (copy / "flight.tlog").write_bytes(log)
     facts = facts_of(copy)
     assert facts.without_fix_s == pytest.approx(10.0, abs=1.0)
-    assert facts.fewest_satellites == 2.0
     flying_s = np.array(sent_s)[np.array(sent_s) > 45.0]
     assert facts.setpoint_gap_s == pytest.approx(np.diff(flying_s).max(), abs=1e-6)
     assert facts.setpoint_gap_s > 1.5
@@ -186,7 +183,6 @@ def test_holds_plans_and_times_are_those_of_the_files(run_dir: Path, page: str) 
         f"Holds 1, {held[1]['t_s'] - held[0]['t_s']:.0f} s in all paused by a person",
         "Planning time, median 300 ms, longest 900 ms T is",
         "2 of 2 subpaths flown; 0 plans refused, 0 late",
-        "2026-05-04 10:20:30 UTC",
         "✔ Arrived: target reached",
         *(
             f" {e['length_m']:,.0f} {e['evaluations']:,} "

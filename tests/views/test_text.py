@@ -20,9 +20,8 @@ from companion.path.certificate import Certificate
 from companion.planner.request import Planned
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
-from companion.views.page import at_least
 from companion.views.text import clearance_text, flight_table, mission_summary, plans_table
-from companion.views.words import metres_at_least
+from companion.views.words import at_least, at_most, counted, metres_at_least, number
 from companion.world.known_map import empty_map
 
 HILLS = load_mission("environment-1")
@@ -72,9 +71,9 @@ SOUTH = "3,000 m south, 2,000 m west of the origin (3,606 m straight from there)
         (HILLS, "proven safe before it is flown"),
         (load_mission("environment-1", "paper"), "flown unproven"),
         (replace(HILLS, scanner_complete=False), "nothing bounds"),
-        (known_but_for(0), "Terrain of 100% of the map"),
+        (known_but_for(0), "Terrain of 100.0% of the map"),
         (known_but_for(1), "Terrain of 99.9% of the map"),
-        (known_but_for(9_999), "Terrain of 0% of the map"),
+        (known_but_for(9_999), "Terrain of 0.0% of the map"),
     ],
 )
 def test_a_mission_in_words_says_where_it_goes_and_what_is_known_and_proven(
@@ -97,6 +96,14 @@ def test_no_clearance_looks_larger_than_it_is_nor_much_smaller(clear_m: float) -
         assert told_m == pytest.approx(clear_m, rel=0.02, abs=1.0)
 
 
+def test_what_is_not_known_or_has_no_bound_is_a_dash_and_one_thing_is_no_several() -> None:
+    assert [number(each) for each in (None, math.inf, math.nan, -0.2, 1234.6)] == [
+        *("–", "–", "–", "0", "1,235")
+    ]
+    assert [at_most(each) for each in (0.0, 0.1, 99.0)] == ["0", "1", "99"]
+    assert [counted(each, "radar") for each in (0, 1, 2)] == ["0 radars", "1 radar", "2 radars"]
+
+
 def test_a_flight_is_as_near_to_the_terrain_as_its_nearest_leg_and_costs_the_sum_of_all() -> None:
     near, far = planned(PROVEN, 3.25), planned(replace(PROVEN, clearance_m=1_040.0), 3.5)
     for order in ((near, far), (far, near)):
@@ -104,6 +111,23 @@ def test_a_flight_is_as_near_to_the_terrain_as_its_nearest_leg_and_costs_the_sum
         assert "1,040 m" not in table
         for words in ("612 m", "6.8", "500 m", "arrived"):  # 3.25 + 3.5; 250 m in range, twice
             assert words in table
+
+
+@pytest.mark.parametrize(
+    ("name", "outcome", "passed"),
+    [
+        ("sitl-arduplane", Outcome.ARRIVED, True),
+        ("sitl-arduplane", Outcome.FAILED, False),
+        ("sitl-arducopter", Outcome.ARRIVED, False),
+    ],
+)
+def test_a_plane_that_has_arrived_has_passed_its_target(
+    name: str, outcome: Outcome, passed: bool
+) -> None:
+    session = Session(load_mission(name), seed=1, lockstep=True)
+    flight = FlightSummary(session=session, passed_m=12.34)
+    flight.end = End(outcome=outcome, reason="", remedy="")
+    assert ("passed the target at │ 12.3 m" in " ".join(rows(flight_table(flight)))) is passed
 
 
 def test_every_plan_has_a_row_with_its_clearance_if_it_is_proven() -> None:

@@ -35,7 +35,7 @@ def draw(comparison: Comparison, found: Sequence[Outcome], path: Path) -> None:
         views.draw_oblique(canvas.add_axes(box, projection="3d", label="oblique"), flight)
         heading = f"({letter}) {outcome.case.label}: {way} ({outcome.share(way)} runs)"
         canvas.text(left + 0.02, 0.93, heading, fontsize=14, weight="bold", parse_math=False)
-        if flight.radars:
+        if flight.task.radars:
             below = canvas.add_axes((left + 0.075, 0.165, 0.30, 0.33), label="below")
             views.draw_plan(below, flight)
             below.set_title(f"({letter}) from above")
@@ -49,15 +49,12 @@ def draw(comparison: Comparison, found: Sequence[Outcome], path: Path) -> None:
 
 
 def _flight(outcome: Outcome) -> FlightFigure:
-    world, run, limits = outcome.case.world, outcome.shown, outcome.case.world.task.limits
+    world, run = outcome.case.world, outcome.shown
     return FlightFigure(
-        title="",
+        task=world.task,
         known=true_map(world.terrain, unseen(world)),
-        floor_amsl_m=limits.floor_amsl_m,
-        ceiling_amsl_m=limits.ceiling_amsl_m,
         start_nea_m=world.start_nea_m,
         targets_ne_m=world.targets_ne_m[-1:],
         legs_nea_m=(run.route_nea_m,),
         scans_nea_m=run.scans_nea_m,
-        radars=world.task.radars,
     )
