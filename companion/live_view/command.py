@@ -37,7 +37,7 @@ def view_command(
     ] = None,
     live: Annotated[bool, typer.Option("--live", hidden=True)] = False,
 ) -> None:
-    """Show a flight in the browser: the ground as it was known, plans and events over time.
+    """Show a flight in the browser: the ground as it was known, plans, charts and events over time.
 
     A run folder that is still written is shown as it grows.  Ends with Ctrl-C.
     """

@@ -13,6 +13,7 @@ from typing import Any, Final, final
 import numpy as np
 import rich
 import viser
+from viser import uplot
 
 from companion.errors import InputError
 from companion.geodesy import FloatArray
@@ -27,6 +28,7 @@ from companion.world.known_map import KnownMap
 _HOST: Final = "127.0.0.1"
 _PERIOD_S: Final = 0.1
 _READ_S: Final = 0.3
+_CHARTS_S: Final = 1.5
 _REPLAY_S: Final = 0.06  # of processor time in a period, for what was known of the ground
 _GROUND_S: Final = 1.0  # between two grounds: a browser draws each anew
 _SPEEDS: Final = ("1x", "5x", "20x", "60x", "300x")
@@ -84,10 +86,11 @@ class Page:
         self._newest = True  # until somebody goes elsewhere
         self._followers: set[int] = set()
         self._here: FloatArray = np.zeros(3)
-        self._ground_at_s = self._read_at_s = -math.inf
+        self._ground_at_s = self._read_at_s = self._charted_at_s = -math.inf
         self._map_shown, self._slid_to_s = -1, 0.0
         self._known: KnownMap | None = None
         self._shown: tuple[object, ...] = ()
+        self._charted: tuple[object, ...] = ()
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(0, 80, 181))
         gui.set_panel_label("companion view")
@@ -116,6 +119,11 @@ class Page:
             self._events_style = gui.add_html("")
             self._events = gui.add_button_group("", ("none yet",))
             self._events.on_click(self._doing(lambda event: self.go_to_event(event.target.value)))
+        charts = gui.add_panel()
+        with charts.add_tab("charts"):
+            self._charts = [_chart(gui, title, lines) for title, lines in panel.CHARTS.items()]
+        charts.dock_left()
+        charts.set_width(300)
 
     # --- what people do
 
@@ -195,10 +203,18 @@ class Page:
         elif self._plays:
             self._time_s = min(self._time_s + passed_s * self._speed, recording.ends_s)
         behind = self._show_ground(self._scene, now_s)
-        shown = (self._time_s, self._map_shown, behind)
+        shown, charted = (
+            (self._time_s, self._map_shown, behind),
+            (recording.ends_s, self._map_shown),
+        )
         if shown != self._shown:
             self._shown = shown
             self._show(self._scene, behind)
+        if charted != self._charted and now_s - self._charted_at_s >= _CHARTS_S:
+            self._charted_at_s, self._charted = now_s, charted
+            charts = panel.charts_of(recording.flight, self._known)
+            for chart, data in zip(self._charts, charts, strict=True):
+                chart.scales, chart.data = _scales(data), data
 
     def _show_ground(self, scene: Scene, now_s: float) -> str:
         """Show what was known of the ground; what of that is not up to date."""
@@ -231,3 +247,27 @@ class Page:
         if self._time_s != self._slid_to_s:  # else it may have been moved just now, untold yet
             self._slid_to_s = self._time_s
             self._slider.value = round(self._time_s, 1)
+
+
+def _chart(gui: viser.GuiApi, title: str, lines: dict[str, str]) -> Any:
+    lines_of = [uplot.Series(label=name, stroke=c, width=2) for name, c in lines.items()]
+    return gui.add_uplot(
+        tuple(np.zeros(0) for _ in range(1 + len(lines))),
+        (uplot.Series(label="time, s"), *lines_of),
+        title=title,
+        scales={"x": uplot.Scale(time=False)},
+        legend=uplot.Legend(show=len(lines) > 1, live=False),
+        aspect=1.75,
+    )
+
+
+def _scales(data: tuple[FloatArray, ...]) -> dict[str, uplot.Scale]:
+    """Ranges of the axes, by hand: a gap in the data leaves the page none to find."""
+    values = np.concatenate(data[1:])
+    values = values[np.isfinite(values)]
+    low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
+    margin = max(0.06 * (high - low), 1e-3 + 1e-3 * abs(high))
+    return {
+        "x": uplot.Scale(time=False, range=(0.0, float(max([1.0, *data[0][-1:]])))),
+        "y": uplot.Scale(range=(low - margin, high + margin)),
+    }

@@ -1,4 +1,4 @@
-"""The side panel: numbers, cost terms and events, as text for the page."""
+"""The side panels: numbers, cost terms, charts and events, for the page."""
 
 import html
 import math
@@ -8,14 +8,18 @@ from typing import Final
 
 import numpy as np
 
+from companion.geodesy import FloatArray
 from companion.live_view.recording import BATTERY, Event, Recording
+from companion.mission.state import Phase
 from companion.objective import TERMS
-from companion.telemetry.export.shapes import under_m
-from companion.telemetry.flight import Decided
+from companion.telemetry.export.shapes import SubpathPoints, under_m
+from companion.telemetry.flight import Decided, Flight, IntArray
 from companion.views.words import clock_text, metres, metres_at_least, number
 from companion.world.columns import distance_to_terrain_m
 from companion.world.known_map import KnownMap
 
+_CHART_POINTS: Final = 600
+_DOWN: Final = (Phase.LANDING.value, Phase.DONE.value)
 _MOST_APART: Final = 20  # cells: farther away from terrain a clearance is not told
 _STANDS_M_S: Final = 0.5
 _STYLE: Final = (
@@ -140,3 +144,38 @@ def event_list(events: list[Event], time_s: float) -> tuple[tuple[str, ...], str
     to_come = min(len(events) - at, _EVENTS_AFTER)
     pale = f"<style>{_LIST} button:nth-child(-n+{to_come}){{opacity:.5}}</style>"
     return tuple(map(event_line, reversed(around))), f"{_LIST_STYLE}{pale}<div class=ev></div>"
+
+
+# --- charts
+
+
+CHARTS: Final = {
+    "altitude and known ground, m AMSL": {"altitude": "#0050b5", "ground": "#8a6a3a"},
+    "off the path, m": {"off the path": "#c2389b"},
+}
+"""Their titles, and of each the lines by name and colour."""
+
+
+def charts_of(flight: Flight, known: KnownMap | None) -> tuple[tuple[FloatArray, ...], ...]:
+    """All of a flight so far, at a few hundred points: of each chart the times, then its lines."""
+    count = len(flight.times_s)
+    rows = np.unique(np.linspace(0, count - 1, min(count, _CHART_POINTS)).astype(np.int64))
+    times_s, places = flight.times_s[rows], flight.places_nea_m[rows]
+    ground_m = np.full(len(rows), np.nan) if known is None else under_m(known, places[:, :2])
+    return (times_s, places[:, 2], ground_m), (times_s, _aside_m(flight, rows))
+
+
+def _aside_m(flight: Flight, rows: IntArray) -> FloatArray:
+    """Distance from the path that was flown, metres; NaN: there was none, or it lands.  (N,).
+
+    The vehicle is behind the point that it is led by, so the subpath before counts too.
+    """
+    aside, points = np.full(len(rows), np.nan), dict[int, SubpathPoints]()
+    for at, decided in enumerate(flight.decided_at(flight.times_s[rows])):
+        for plan in (decided.leg, decided.leg_before):
+            if plan is not None and decided.phase not in _DOWN:
+                if plan.plan_id not in points:
+                    points[plan.plan_id] = SubpathPoints(plan.subpath)
+                away_m, _ = points[plan.plan_id].nearest(flight.places_nea_m[rows[at]])
+                aside[at] = np.fmin(aside[at], away_m)
+    return aside
