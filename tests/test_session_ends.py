@@ -10,8 +10,10 @@ from made_up_plans import not_planned
 from pymavlink.dialects.v20 import all as wire
 from scripted_vehicle import BRAKE, LAND, MISSION, Pair, Vehicle, messages, pair
 
+from companion.mission.events import Outcome
 from companion.mission.mission import EndAction
 from companion.mission.phases import Phase, Trigger
+from companion.mission.state import Reason
 from companion.session import Session
 
 PHASES = (Phase.WAITING, Phase.PREPARING, Phase.ARMING, Phase.TAKING_OFF, Phase.FLYING)
@@ -46,21 +48,32 @@ def must_be_said(it: Pair) -> None:
     assert texts(it.frames[sent:]) == []
 
 
-ENDS: dict[str, tuple[Trigger, Callable[[Session], object]]] = {
-    "a person": (Trigger.STOP, lambda it: it.stop()),
-    "a part": (Trigger.DIED, lambda it: it.part_died("reader", "OSError: made up")),
-    "silence": (Trigger.GIVE_UP, lambda it: it.silence(700.0)),
+ENDS: dict[str, tuple[Trigger, Callable[[Session], object], Outcome, str]] = {
+    "a person": (Trigger.STOP, lambda it: it.stop(), Outcome.STOPPED, Reason.STOPPED.text),
+    "a part": (
+        *(Trigger.DIED, lambda it: it.part_died("writer", "OSError: made up"), Outcome.FAILED),
+        f"{Reason.PLANNER_DIED.text}: writer: OSError: made up",
+    ),
+    "silence": (Trigger.GIVE_UP, lambda it: it.silence(700.0), Outcome.FAILED, ""),
 }
 
 
 @pytest.mark.parametrize("phase", PHASES)
 @pytest.mark.parametrize("end", ENDS)
 def test_whatever_ends_it_in_whatever_phase(end: str, phase: Phase) -> None:
-    it, (trigger, ends) = deepcopy(flown_to(phase)), ENDS[end]
+    """Led in the air it is left holding, and settled when it says so."""
+    it, (trigger, ends, outcome, why) = deepcopy(flown_to(phase)), ENDS[end]
     assert phase in trigger.origins
     ends(it.session)
     it.take(it.session.run())
+    assert (it.end.outcome, it.end.reason) == (outcome, why or it.end.reason)
+    assert ("part died" in it.kinds()) is (end == "a part")
     must_be_said(it)
+    if phase is Phase.FLYING and end != "silence":
+        it = deepcopy(flown_to(phase))
+        ends(it.session)
+        assert not it.take(it.session.run()).settled
+        assert it.run_until(lambda it: it.out.settled).vehicle.mode == BRAKE
 
 
 @pytest.mark.parametrize("phase", [Phase.FLYING, Phase.LANDING])

@@ -9,7 +9,6 @@ from pymavlink.dialects.v20 import all as wire
 from scripted_vehicle import Pair, Vehicle
 
 from companion.config import load_mission
-from companion.mavlink.preflight import CheckStatus, checks_of
 from companion.mission.state import Phase, Reason
 from companion.session import Session
 
@@ -50,10 +49,8 @@ def _low(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scripted_vehicle, "HOME_AMSL_M", HOME_AMSL_M)
 
 
-def with_eyes(reach_cm: int = REACH_CM) -> Pair:
-    it = Pair(Session(load_mission("forest"), seed=1, lockstep=True), Seeing())
-    it.vehicle.reach_cm = reach_cm
-    return it
+def with_eyes() -> Pair:
+    return Pair(Session(load_mission("forest"), seed=1, lockstep=True), Seeing())
 
 
 def is_stopping(it: Pair, reason: Reason) -> bool:
@@ -78,18 +75,6 @@ def test_something_that_steps_into_its_way_stops_it_within_a_fifth_of_a_second()
     assert it.fly_to(Phase.HOLDING, 10.0).session.state.reason is Reason.NEW_THREAT
     north, east = vehicle.post_ne_m
     assert math.hypot(north - vehicle.north_m, east - vehicle.east_m) - 0.3 > 1.0
-
-
-@pytest.mark.parametrize("reach_cm", [4000, 1599, 1200])  # the second was cut off
-def test_a_sensor_that_sees_less_than_r_is_refused_with_the_remedy(reach_cm: int) -> None:
-    """R is 16 m."""
-    it = with_eyes(reach_cm).run_until(lambda it: it.session.near.sensing.limits_m[0] > 0.0)
-    [check] = [each for each in checks_of(it.session) if each.name == "sensor range"]
-    assert (check.status is CheckStatus.REFUSED) is (reach_cm == 1200)
-    if reach_cm == 1200:
-        assert "12 m" in check.what
-        assert "planner.scan_range_m is 16 m" in check.what
-        assert check.remedy.startswith("Set planner.scan_range_m to 12 or less")
 
 
 def test_a_sensor_that_comes_to_see_less_in_flight_is_told_of_once() -> None:

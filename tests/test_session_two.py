@@ -7,7 +7,6 @@ import pytest
 from pymavlink.dialects.v20 import all as wire
 from scripted_vehicle import MISSION, Pair, Vehicle, messages
 
-from companion.mavlink.preflight import CheckStatus, checks_of
 from companion.mission import checkpoint
 from companion.mission.events import Outcome
 from companion.mission.state import Phase, Reason
@@ -105,19 +104,3 @@ def test_the_one_that_came_second_ends_in_the_air_and_the_first_flies_on(same_fo
     assert Reason.NOT_ALONE.text in "".join(m.text for m in first.sent("STATUSTEXT"))
     assert first.session.warned[1].startswith(Reason.NOT_ALONE.text)
     assert first.session.state.phase is Phase.FLYING
-
-
-@pytest.mark.parametrize("alone", [False, True])
-def test_what_fly_refuses_preflight_refuses(alone: bool) -> None:
-    bus = Bus(reflects=1 if alone else 0)
-    if not alone:
-        bus.flying()
-    looks = bus.joins(session(shadow=True))
-    bus.run(6.0)
-    [check] = [c for c in checks_of(looks.session) if c.name == "companion"]
-    if alone:
-        assert (check.status, check.what) == (CheckStatus.PASSED, "nobody else is 1/195")
-    else:
-        assert check.status is CheckStatus.REFUSED
-        assert check.what == f"1/195: {Reason.NOT_ALONE.text}"
-        assert check.remedy == Reason.NOT_ALONE.remedy

@@ -16,7 +16,7 @@ from companion.mavlink.dialect import codec, wire
 from companion.mavlink.preflight import Check, CheckStatus, checks_of, waiting_for
 from companion.mavlink.signing import Signing
 from companion.mission.events import Outcome
-from companion.mission.state import Phase
+from companion.mission.state import Phase, Reason
 from companion.session import Session
 from companion.world.known_map import empty_map
 from companion.world.near_map import NearSensor
@@ -96,7 +96,7 @@ def looked() -> Pair:
 
 def test_a_vehicle_that_may_fly_passes_and_each_line_names_what(good: Pair) -> None:
     assert good.refused == []
-    passed = "vehicle, messages, fence, targets, position, take-off, place, battery"
+    passed = "vehicle, companion, messages, fence, targets, position, take-off, place, battery"
     assert {good.status(name) for name in passed.split(", ")} == {"ok"}
     assert good.status("radar") == "note"
     for check in checks_of(good.session):
@@ -156,20 +156,6 @@ def test_a_vehicle_that_falls_silent_or_does_not_sign_may_not_fly() -> None:
     assert "not signed with this key. Set the same key up" in unsigned.words("vehicle")
 
 
-def test_a_fence_that_is_not_told_yet_says_what_it_waits_for(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    it = Pair().looked_at()
-    assert it.session.vehicle is not None
-    monkeypatch.setattr(it.session.vehicle.own_fence, "fence", None)
-    assert it.refused == ["fence"]
-    assert it.words("fence") == "it is being read. Wait for it."
-    state = it.session.state
-    homeless = replace(state, vehicle=replace(state.vehicle, home_nea_m=None))
-    monkeypatch.setattr(it.session, "state", homeless)
-    assert it.words("fence") == "it is drawn about home, which is not known. Wait for it."
-
-
 HIGH = (0.0, 0.0, 700.0)
 NEAR = NearSensor(kind="obstacle_distance", component_id=196, range_m=16.0)
 DEAF = SimpleNamespace(heard_s=-math.inf)
@@ -181,39 +167,70 @@ LEVEL, HIGHER = (
 """Where the vehicle stands at 488 m: the second has another datum."""
 
 
+NEAR_AT, FAR_AT = {"mission.near": NEAR}, {"mission.task.settings.scan_range_m": 16.0}
+
+
+def sees(least_m: float, most_m: float) -> dict[str, Any]:
+    """A lidar with these limits where R is 16 m."""
+    sensing = SimpleNamespace(limits_m=(least_m, most_m))
+    return NEAR_AT | FAR_AT | {"near": SimpleNamespace(sensing=sensing)}
+
+
 @pytest.mark.parametrize(
-    "case",
+    ("changes", "check", "status", "words"),
     [
-        ("vehicle", {"position_nea_m": (5000.0, 0.0, 488.0)}, "place", "refused", ""),
-        ("vehicle", {"position_nea_m": HIGH, "home_nea_m": HIGH}, "take-off", "refused", "floor"),
-        ("vehicle", {"armed": True}, "armed", "refused", "somebody else"),
-        ("vehicle", {"battery": 0.9}, "battery", "ok", "endurance_s is not given"),
-        ("vehicle", {"battery": 0.1}, "battery", "refused", "endurance_s is not given"),
-        ("vehicle", {"battery": None}, "battery", "note", ""),
-        ("mission", {"endurance_s": 1200.0}, "battery", "ok", ""),
-        ("mission", {"endurance_s": 60.0}, "battery", "refused", ""),
-        ("mission", {"known": HIGHER}, "datum", "refused", ""),
-        ("mission", {"known": LEVEL}, "datum", "ok", ""),
-        ("mission", {"near": NEAR}, "sensor", "refused", "component 191 of system 1"),
-        ("mission", {"scanner_component_id": 77}, "radar", "refused", "component 101 of system 2."),
-        ("session", {"rangefinder": DEAF}, "rangefinder", "refused", "component 1: not heard"),
+        ({"state.vehicle.position_nea_m": (5000.0, 0.0, 488.0)}, "place", "refused", ""),
+        (
+            {"state.vehicle.position_nea_m": HIGH, "state.vehicle.home_nea_m": HIGH},
+            *("take-off", "refused", "floor"),
+        ),
+        ({"state.vehicle.armed": True}, "armed", "refused", "somebody else"),
+        ({"state.vehicle.battery": 0.9}, "battery", "ok", "endurance_s is not given"),
+        ({"state.vehicle.battery": 0.1}, "battery", "refused", "endurance_s is not given"),
+        ({"state.vehicle.battery": None}, "battery", "note", ""),
+        ({"mission.endurance_s": 1200.0}, "battery", "ok", ""),
+        ({"mission.endurance_s": 60.0}, "battery", "refused", ""),
+        ({"mission.known": HIGHER}, "datum", "refused", ""),
+        ({"mission.known": LEVEL}, "datum", "ok", ""),
+        (NEAR_AT, "sensor", "refused", "component 191 of system 1"),
+        (sees(0.0, math.inf), "sensor range", "note", "R = 16 m is believed"),
+        (sees(0.2, 15.99), "sensor range", "ok", ""),  # 1599 cm: a driver has cut it off
+        (sees(0.2, 12.0), "sensor range", "refused", "Set planner.scan_range_m to 12 or less"),
+        (sees(0.7, 40.0), "sensor range", "note", "Raise scanner.blind_m to 0.7"),
+        ({"mission.scanner_component_id": 77}, "radar", "refused", "component 101 of system 2."),
+        ({"rangefinder": DEAF}, "rangefinder", "refused", "component 1: not heard"),
+        ({"state.duplicate_id": True}, "companion", "refused", f"1/195: {Reason.NOT_ALONE.text}"),
+        ({"vehicle.own_fence.fence": None}, "fence", "refused", "it is being read. Wait for it."),
+        (
+            {"vehicle.own_fence.fence": None, "state.vehicle.home_nea_m": None},
+            *("fence", "refused", "it is drawn about home, which is not known. Wait for it."),
+        ),
     ],
 )
-def test_what_is_seen(looked: Pair, monkeypatch: pytest.MonkeyPatch, case: Any) -> None:
-    part, changes, check, status, words = case
-    session = looked.session
-    state = session.state
-    for name, value in changes.items() if part == "session" else ():
-        monkeypatch.setattr(session, name, value)
-    if part == "mission":
-        monkeypatch.setattr(session, part, replace(session.mission, **changes))
-    elif part == "vehicle":
-        monkeypatch.setattr(
-            session, "state", replace(state, vehicle=replace(state.vehicle, **changes))
-        )
-    monkeypatch.setattr(session, "last_scan", None)
+def test_what_is_seen(
+    looked: Pair, monkeypatch: pytest.MonkeyPatch, changes: Any, check: str, status: str, words: str
+) -> None:
+    """changes: what of the session is another, however deep."""
+    for path, value in changes.items():
+        put(monkeypatch, looked.session, path, value)
+    monkeypatch.setattr(looked.session, "last_scan", None)
     assert looked.status(check) == status
     assert words in looked.words(check)
+
+
+def put(monkeypatch: pytest.MonkeyPatch, of: Any, path: str, value: Any) -> None:
+    """Give a thing that is changed in place, or copies of the values in it, another field."""
+    name, _, rest = path.partition(".")
+    there = getattr(of, name)
+    if rest and name in ("vehicle", "own_fence"):
+        put(monkeypatch, there, rest, value)
+    else:
+        monkeypatch.setattr(of, name, changed(there, rest, value) if rest else value)
+
+
+def changed(value: Any, path: str, to: Any) -> Any:
+    name, _, rest = path.partition(".")
+    return replace(value, **{name: changed(getattr(value, name), rest, to) if rest else to})
 
 
 def says(check: str, status: str, words: str = "", change: Any = None, **keywords: Any) -> Any:
