@@ -9,6 +9,7 @@ import pytest
 from pymavlink.dialects.v20 import all as wire
 from scripted_vehicle import BRAKE, GUIDED, MISSION, Pair, Vehicle, messages, pair, straight_plan
 
+from companion.mission import checkpoint
 from companion.mission.events import Outcome
 from companion.mission.state import Phase, Reason
 from companion.session import Session
@@ -349,3 +350,50 @@ def test_a_refused_setpoint_is_followed_by_nothing_but_the_hold() -> None:
     assert "setpoint out of range" in texts
     assert GUIDED not in [m.param2 for m in said if m.get_type() == "COMMAND_LONG"]
     assert it.vehicle.mode == BRAKE
+
+
+# --- another companion with our ids
+
+
+def test_a_link_that_sends_back_what_we_say_is_no_second_companion() -> None:
+    it = flying()
+    for _ in range(200):
+        count = len(it.frames)
+        it.tick()
+        for _ in range(2):
+            it.feed(b"".join(it.frames[count:]))
+    assert it.phase is Phase.FLYING
+    assert not it.session.state.is_duplicate_suspected
+    assert len(it.sent(SETPOINT)) > 200
+
+
+COMMANDS = ("COMMAND_LONG", "COMMAND_INT", SETPOINT)
+ASKS = (wire.MAV_CMD_SET_MESSAGE_INTERVAL, wire.MAV_CMD_REQUEST_MESSAGE)
+"""What moves or changes nothing."""
+
+
+@pytest.mark.parametrize("same_folder", [False, True])
+def test_the_one_that_came_second_ends_in_the_air_and_the_first_flies_on(same_folder: bool) -> None:
+    """Also one that has the path of the first, from the same run folder."""
+    first = flying().run_for(3.0)
+    values = {"system_id": 1, **checkpoint.values_of(first.session.state)}
+    resume = (values, first.session.state.flight.known) if same_folder else None
+    mission = replace(MISSION, system_id=1)
+    joins = Session(mission, seed=1, lockstep=False, go=True, resume=resume)
+    second = Pair(joins, first.vehicle)
+    for _ in range(300):
+        begun, answered = len(first.frames), len(second.frames)
+        said = first.vehicle.tick()
+        first.feed(said)
+        if second.out.end is None:
+            second.feed(said + b"".join(first.frames[begun:]))
+            first.feed(b"".join(second.frames[answered:]))
+    assert (second.end.outcome, second.end.reason) == (Outcome.FAILED, Reason.NOT_ALONE.text)
+    told = [message for message in messages(second.frames) if message.get_type() in COMMANDS]
+    assert {getattr(message, "command", 0) for message in told} <= set(ASKS)
+    says = [entry["text"] for entry in first.journal if entry["kind"] == "say"]
+    assert len([text for text in says if Reason.NOT_ALONE.text in text]) == 1
+    assert "another companion" in first.kinds()
+    assert Reason.NOT_ALONE.text in "".join(m.text for m in first.sent("STATUSTEXT"))
+    assert first.session.warned[1].startswith(Reason.NOT_ALONE.text)
+    assert first.phase is Phase.FLYING

@@ -1,17 +1,13 @@
-"""A simulated vehicle with a client of the companion on one link, or with all of it: `Faced`."""
+"""A simulated vehicle with a client of the companion on one link."""
 
 from collections.abc import Callable, Iterator
 from typing import Any, Literal, Protocol
 
 from recordings import recording
-from scripted_vehicle import straight_plan
 from tlog import recorded_frames
 
 from companion.mavlink.dialect import codec, wire
 from companion.mavlink.frames import IGNORED_MESSAGES, Receiver, number_of
-from companion.mavlink.link import Output
-from companion.mission.mission import Mission
-from companion.session import Session
 from vehicle_sim.plans import PlanItem as Stored
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import World, flat_world
@@ -136,61 +132,6 @@ class Held:
                 return True
             self.other(item_message(items[message.seq], message.seq, kind))
         return False
-
-
-class Faced:
-    """A whole session and a simulated vehicle at the two ends of a link; both ways are frames."""
-
-    def __init__(
-        self, mission: Mission, vehicle: Simulation, *, link: int = 0, **keywords: Any
-    ) -> None:
-        self.mission, self.vehicle, self.link = mission, vehicle, link
-        self.session = Session(mission, seed=1, lockstep=False, go=True, **keywords)
-        self.out = Output()
-        self.end: Any = None
-        self.heard: list[bytes] = []
-        self.sent: list[bytes] = []
-        self.recorded: list[bytes] = []
-        self.loses: tuple[int, ...] = ()
-        """Messages that are lost on the way."""
-
-    @property
-    def now_s(self) -> float:
-        return self.vehicle.now_us * 1e-6
-
-    def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> Any:
-        end_s = self.now_s + seconds
-        while self.now_s < end_s and not until():
-            self.vehicle.step()
-            while frames := self.vehicle.take_frames():
-                for link, frame in frames:
-                    if link == self.link and number_of(frame) not in self.loses:
-                        self.heard.append(frame)
-                        self.session.receive(frame, self.now_s)
-                self.answer()
-        return self
-
-    def answer(self) -> None:
-        """What the session has to say is said; a plan is there as soon as it is asked for."""
-        out = self.out = self.session.run()
-        self.end = self.end or out.end
-        self.sent += out.frames
-        self.recorded += [frame for _, frame in out.record]
-        for frame in out.frames:
-            self.vehicle.receive(self.link, frame)
-        if out.plan is not None:
-            self.session.deliver(straight_plan(out.plan))
-
-    def hear(self, frame: bytes) -> None:
-        """The companion hears something that the vehicle has not said."""
-        self.session.receive(frame, self.now_s)
-        self.answer()
-
-    def station(self, message: Any, link: int = 1) -> None:
-        """A ground station (255/190) says this to the vehicle."""
-        self.vehicle.receive(
-            link, message.pack(wire.MAVLink(None, srcSystem=255, srcComponent=190))
-        )
 
 
 _OF_UPLOADS = (

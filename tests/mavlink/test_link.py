@@ -6,14 +6,12 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import all as wire
-from scripted_vehicle import MISSION, pair
 
 from companion.mavlink.autopilots import ALL, Autopilot
 from companion.mavlink.dialect import codec
-from companion.mavlink.frames import IGNORED_MESSAGES, Receiver
+from companion.mavlink.frames import IGNORED_MESSAGES
 from companion.mavlink.link import ClockReading, DuplicateIdDetector, VehicleClock
 from companion.mission.events import DuplicateId
-from companion.session import Session
 
 SYSTEM = 7
 
@@ -123,43 +121,6 @@ def test_a_leap_is_doubted_like_a_fall_unless_silence_or_arrival_explain_it(
     silent.on_silence(30.0, counts=True)
     assert silent.read(90.0) is READ.LATER
     assert silent.read(97.0) is READ.DOUBTED
-
-
-def any_frame(number: int, rng: random.Random, system: int = 1, component: int = 1) -> bytes:
-    kind = wire.mavlink_map[number]
-    sender = wire.MAVLink(None, srcSystem=system, srcComponent=component)
-    sender.seq = rng.randrange(256)
-    message = wire.MAVLink_message(kind.id, kind.msgname)
-    return bytes(message._pack(sender, kind.crc_extra, rng.randbytes(kind.unpacker.size)))
-
-
-@pytest.fixture(scope="module")
-def said() -> list[bytes]:
-    """What a vehicle says from its start into its flight, frame by frame."""
-    it, frames = pair(lockstep=False), list[bytes]()
-    for _ in range(140):
-        told = it.vehicle.tick()
-        frames += [bytes(message.get_msgbuf()) for message in Receiver().feed(told)]
-        it.feed(told)
-    return frames
-
-
-@pytest.mark.sample(4)
-@pytest.mark.parametrize("seed", range(8))
-def test_what_nobody_reads_is_recorded_and_decides_nothing(said: list[bytes], seed: int) -> None:
-    rng, numbers, more = random.Random(seed), sorted(IGNORED_MESSAGES), list[bytes]()
-    for frame in said:
-        who = rng.choice([(1, 1), (1, 1), (7, 1), (1, 158)])
-        more += [any_frame(rng.choice(numbers), rng, *who) for _ in range(rng.randrange(4))]
-        more.append(frame)
-    plain, busy = (Session(MISSION, seed=1, lockstep=False) for _ in range(2))
-    plain.receive(b"".join(said))
-    busy.receive(b"".join(more))
-    expected, given_ = plain.run(), busy.run()
-    assert (given_.frames, given_.journal) == (expected.frames, expected.journal)
-    sent = set(given_.frames)
-    assert [frame for _, frame in given_.record if frame not in sent] == more
-    assert busy.receive(any_frame(wire.MAVLINK_MSG_ID_HIGHRES_IMU, rng))  # it is there all the same
 
 
 @pytest.mark.parametrize("autopilot", ALL, ids=lambda a: a.name)

@@ -2,17 +2,20 @@
 
 import math
 import re
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from held import FOUR, Faced, level
+from held import FOUR, level
 from random_programs import message_numbers
 from renewed import replace
+from scripted_vehicle import straight_plan
 
 from companion.config import load_mission
 from companion.mavlink.dialect import codec, wire
+from companion.mavlink.frames import number_of
 from companion.mavlink.preflight import Check, CheckStatus, checks_of, waiting_for
 from companion.mavlink.signing import Signing
 from companion.mission.events import Outcome
@@ -29,8 +32,8 @@ COPTER, PX4, PX4_PLANE = "sitl-arducopter", "sitl-px4", "sitl-px4-plane"
 KEY = bytes(range(32))
 
 
-class Pair(Faced):
-    """A session and a vehicle, and what the checks say."""
+class Pair:
+    """A whole session and a simulated vehicle at the two ends of a link, and what checks say."""
 
     def __init__(
         self,
@@ -39,7 +42,7 @@ class Pair(Faced):
         faults: str = "",
         parameters: dict[str, float] | None = None,
         shadow: bool = True,
-        signing: Signing | None = None,
+        has_key: bool = False,
         **changes: Any,
     ) -> None:
         mission = load_mission(name)
@@ -47,8 +50,39 @@ class Pair(Faced):
         world = level(*NAMES[name], (*where, 488.0 if "px4" in name else 584.0))
         vehicle = world.vehicle.model_copy(update={"parameters": parameters or {}})
         world = world.model_copy(update={"vehicle": vehicle})
-        simulated = Simulation(world, seed=1, links=2, faults=faults)
-        super().__init__(replace(mission, **changes), simulated, shadow=shadow, signing=signing)
+        key = Signing(key=KEY, timestamp=10**13) if has_key else None
+        self.vehicle = Simulation(world, seed=1, links=2, faults=faults)
+        self.session = Session(
+            replace(mission, **changes), seed=1, lockstep=False, go=True, shadow=shadow, signing=key
+        )
+        self.end: Any = None
+        self.sent: list[bytes] = []
+        self.loses: tuple[int, ...] = ()
+        """Messages that are lost on the way to the companion."""
+
+    def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
+        end_us = self.vehicle.now_us + seconds * 1e6
+        while self.vehicle.now_us < end_us and not until():
+            self.vehicle.step()
+            while frames := self.vehicle.take_frames():
+                for link, frame in frames:
+                    if link == 0 and number_of(frame) not in self.loses:
+                        self.session.receive(frame, self.vehicle.now_us * 1e-6)
+                self.answer()
+
+    def answer(self) -> None:
+        """What the session has to say is said; a plan is there as soon as it is asked for."""
+        out = self.session.run()
+        self.end = self.end or out.end
+        self.sent += out.frames
+        for frame in out.frames:
+            self.vehicle.receive(0, frame)
+        if out.plan is not None:
+            self.session.deliver(straight_plan(out.plan))
+
+    def station(self, message: Any) -> None:
+        """A ground station (255/190) says this to the vehicle, on another link."""
+        self.vehicle.receive(1, message.pack(wire.MAVLink(None, srcSystem=255, srcComponent=190)))
 
     def looked_at(self, seconds: float = 60.0) -> "Pair":
         """As `companion preflight` does it, without its waits."""
@@ -90,7 +124,9 @@ def looked() -> Pair:
     sweep = wire.MAVLink_obstacle_distance_message(0, 0, [500] * 72, 5, 20, 1600)
     heights = wire.MAVLink_terrain_data_message(0, 0, 100, 0, [0] * 16)
     for message, ids in ((sweep, (1, 191)), (heights, (2, 101))):
-        it.hear(message.pack(wire.MAVLink(None, srcSystem=ids[0], srcComponent=ids[1])))
+        frame = message.pack(wire.MAVLink(None, srcSystem=ids[0], srcComponent=ids[1]))
+        it.session.receive(frame, it.vehicle.now_us * 1e-6)
+        it.answer()
     return it
 
 
@@ -150,7 +186,7 @@ def test_a_vehicle_that_falls_silent_or_does_not_sign_may_not_fly() -> None:
         it.session.silence(float(silent_s))
     assert it.refused
     assert "fell silent" in it.words("link")
-    unsigned = Pair(signing=Signing(key=KEY, timestamp=10**13))
+    unsigned = Pair(has_key=True)
     unsigned.run(10.0)
     assert unsigned.refused == ["vehicle"]
     assert "not signed with this key. Set the same key up" in unsigned.words("vehicle")
@@ -253,7 +289,7 @@ def draws(*items: tuple[int, float, float, float], kind: int = 1) -> Any:
         it.station(wire.MAVLink_mission_count_message(1, 1, len(items), kind))
         for seq, (command, value, north_m, east_m) in enumerate(items):
             it.run(0.3)
-            latitude, longitude = it.mission.frame.to_geodetic_deg(north_m, east_m)
+            latitude, longitude = it.session.mission.frame.to_geodetic_deg(north_m, east_m)
             place = (round(latitude * 1e7), round(longitude * 1e7), 20.0)
             numbers = (seq, 3, command, 0, 1, value, 0.0, 0.0, 0.0, *place, kind)
             it.station(wire.MAVLink_mission_item_int_message(1, 1, *numbers))
@@ -294,6 +330,7 @@ SETUPS = {
     "targets of its own": says("targets", "ok", "2 targets", WAYPOINTS, **THEIRS),
     "battery too short": refuses("battery", endurance_s=30.0),
     "no radar": refuses("radar", "component 77", scanner_component_id=77),
+    "signed, with its key": says("vehicle", "ok", "", signs, name=COPTER, has_key=True),
     "signed, and no key": refuses("signing", "--signing-key", signs, name=COPTER),
 }
 

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.mavlink.dialect import codec, wire
+from companion.mavlink.link import FrameEncoder
 from companion.mavlink.signing import (
     SECRETS,
     TICKS_PER_S,
@@ -101,6 +102,17 @@ def test_a_frame_that_was_kept_is_signed_as_pymavlink_would_sign_it_now() -> Non
             assert strip_signature(signed) == strip_signature(plain) == plain  # as a log keeps it
     first_protocol = BEAT.pack(codec(1), force_mavlink1=True)
     assert keeper.sign(first_protocol) == first_protocol  # it has no signatures
+
+
+def test_what_is_kept_in_reserve_is_believed_whenever_and_however_often_it_is_sent() -> None:
+    """The stream goes on meanwhile, and each copy would be a replay of the one before."""
+    encoder, vehicle = FrameEncoder(1, ours()), ours()
+    reserve = encoder.encode_unsent([BEAT])
+    encoder.send([BEAT] * 3, 5.0)
+    sent = [*encoder.out.frames, *encoder.signed(reserve), *encoder.signed(reserve)]
+    assert all(map(vehicle.accepts, sent))
+    assert encoder.out.record == [(5.0, strip_signature(frame)) for frame in encoder.out.frames]
+    assert FrameEncoder(1, None).signed(reserve) == reserve
 
 
 def test_signed_frames_of_any_component_are_believed_each_once() -> None:

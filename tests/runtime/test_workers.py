@@ -1,7 +1,6 @@
 """Parts of the companion are killed and blocked for real, in real time (design 7, last row)."""
 
 import ctypes
-import io
 import json
 import math
 import os
@@ -153,12 +152,6 @@ def session_raises(rig: Rig) -> tuple[str, str]:
     return "decider", "OSError: made up"
 
 
-def session_raises_in_lockstep(rig: Rig) -> tuple[str, str]:
-    """Nothing depends on the clock there, but a death is a death."""
-    rig.options["lockstep"] = True
-    return session_raises(rig)
-
-
 def session_raises_and_cannot_even_say_hold(rig: Rig) -> tuple[str, str]:
     """It has said it before."""
 
@@ -179,10 +172,7 @@ def session_stands_still(rig: Rig) -> tuple[str, str]:
     return "decider", "stood still"
 
 
-DEATHS = [
-    *(session_raises, session_raises_in_lockstep, session_raises_and_cannot_even_say_hold),
-    session_stands_still,
-]
+DEATHS = [session_raises, session_raises_and_cannot_even_say_hold, session_stands_still]
 
 
 def planner_raises(rig: Rig) -> str:
@@ -244,11 +234,15 @@ def assert_held(rig: Rig, part: str, error: str) -> None:
     assert HOLD in (rig.folder.path / "flight.tlog").read_bytes()
 
 
-@pytest.mark.parametrize("death", DEATHS)
+@pytest.mark.parametrize(
+    ("death", "lockstep"), [*((death, False) for death in DEATHS), (session_raises, True)]
+)
 def test_whatever_dies_nothing_more_is_streamed_and_the_vehicle_is_told_to_hold(
-    rig: Rig, death: Callable[[Rig], tuple[str, str]]
+    rig: Rig, death: Callable[[Rig], tuple[str, str]], lockstep: bool
 ) -> None:
+    """In lockstep nothing depends on the clock, but a death is a death."""
     part, error = death(rig)
+    rig.options["lockstep"] = lockstep
     with rig.flying():
         rig.once_flying()
         assert_held(rig, part, error)
@@ -258,37 +252,41 @@ def test_whatever_dies_nothing_more_is_streamed_and_the_vehicle_is_told_to_hold(
     assert error.startswith("stood") or rig.session.died == []  # it cannot be told
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_watchdog_that_has_failed_itself_ends_the_flight_as_if_it_were_stopped(rig: Rig) -> None:
+def its_clock_fails(rig: Rig) -> type[BaseException]:
     def clock() -> float:
         now_s = time.monotonic()
         if threading.current_thread() is rig.flies and rig.broken_s < now_s:
             raise MemoryError("made up")
         return now_s
 
-    planner = rig.options["planner"] = PlannerProcess(odd_planners.echoes, odd_planners.nothing)
     rig.options["clock"] = clock
-    with rig.flying():
-        rig.breaks_now()
-        rig.flies.join(PATIENCE_S)
-    assert isinstance(rig.raised, MemoryError)
-    assert rig.session.has_left
-    assert rig.session.died == []
-    assert planner.process is not None
-    assert not planner.process.is_alive()
+    return MemoryError
 
 
-def test_what_fails_to_be_shown_ends_the_flight_and_is_raised(rig: Rig) -> None:
+def its_terminal_fails(rig: Rig) -> type[BaseException]:
     def show(_flown: object) -> None:
         if rig.broken_s < time.monotonic():
             raise BrokenPipeError
 
     rig.options["on_progress"] = show
+    return BrokenPipeError
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+@pytest.mark.parametrize("fails", [its_clock_fails, its_terminal_fails])
+def test_a_watchdog_that_fails_or_cannot_show_ends_the_flight_as_if_stopped_and_raises(
+    rig: Rig, fails: Callable[[Rig], type[BaseException]]
+) -> None:
+    planner = rig.options["planner"] = PlannerProcess(odd_planners.echoes, odd_planners.nothing)
+    error = fails(rig)
     with rig.flying():
         rig.breaks_now()
         rig.flies.join(PATIENCE_S)
-    assert isinstance(rig.raised, BrokenPipeError)
+    assert isinstance(rig.raised, error)
     assert rig.session.has_left
+    assert rig.session.died == []
+    assert planner.process is not None
+    assert not planner.process.is_alive()
 
 
 def test_a_terminal_that_blocks_does_not_delay_the_stream(rig: Rig) -> None:
@@ -350,42 +348,15 @@ def test_a_setpoint_that_took_too_long_is_not_sent(rig: Rig) -> None:
 # --- the disk: a flight goes on without it
 
 
-class FullFile:
-    """A file on a full disk."""
-
-    def __init__(self, file: io.FileIO) -> None:
-        self.close = file.close
-
-    def write(self, _data: bytes) -> int:
-        raise OSError(28, "No space left on device")
-
-    def seek(self, *_: object) -> int:
-        return 0
-
-    tell = truncate = seek
-
-
-def is_full(rig: Rig) -> None:
-    files = as_any(rig.folder)._files
-    files["flight.tlog"] = FullFile(files["flight.tlog"])
-
-
-def is_odd(rig: Rig) -> None:
-    rig.session.out.journal.append({"t_s": 1.0, "kind": "odd", "value": object()})
-
-
-@pytest.mark.parametrize(
-    ("breaks", "told"), [(is_full, "No space left on device"), (is_odd, "TypeError")]
-)
-def test_a_disk_that_is_full_or_an_entry_that_cannot_be_written_ends_the_recording_alone(
-    rig: Rig, breaks: Callable[[Rig], None], told: str
-) -> None:
-    rig.at(10, lambda: breaks(rig))
+def test_what_cannot_be_written_ends_the_recording_alone(rig: Rig) -> None:
+    """A disk that is full: `closed_loop/test_shown`."""
+    odd = {"t_s": 1.0, "kind": "odd", "value": object()}
+    rig.at(10, lambda: rig.session.out.journal.append(odd))
     with rig.flying():
         rig.link.wait_until(lambda: bool(rig.session.complaints))
         rig.streams_on()
     [said] = rig.session.complaints
-    assert said.startswith(f"not recorded any more: {told}")
+    assert said.startswith("not recorded any more: TypeError")
     assert rig.link.times_of(HOLD) == []
     assert rig.end.outcome is Outcome.STOPPED
 
