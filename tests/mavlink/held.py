@@ -105,9 +105,7 @@ class Held:
         """A ground station (255/190) says this."""
         self.simulation.receive(link, message.pack(self._theirs))
 
-    def upload(
-        self, kind: int, items: list[Stored], client: Client | None = None, pause_s: float = 0.0
-    ) -> None:
+    def upload(self, kind: int, items: list[Stored], client: Client | None = None) -> None:
         """By the ground station on link 1, over the protocol; it must be taken."""
         self.others.clear()
         self.other(wire.MAVLink_mission_count_message(1, 1, len(items), kind))
@@ -115,8 +113,6 @@ class Held:
             self.run(0.01, client)
             if self._answer(kind, items):
                 return
-            if pause_s and self.others:
-                self.run(pause_s, client)
         raise AssertionError("the upload did not end")
 
     def _answer(self, kind: int, items: list[Stored]) -> bool:

@@ -76,25 +76,6 @@ def test_a_change_is_known_in_time(way: Any, waited_s: float) -> None:
     assert client.plans[FENCE].version == 4
 
 
-@pytest.mark.sample(2)  # of both firmwares
-@ALL_FOUR
-def test_a_list_that_is_being_uploaded_is_never_seen_half(way: Any) -> None:
-    """Uploads in a row, of which ArduPilot denies all others any part while they last."""
-    held, client = Held(*way), PlanClient(1)
-    versions = [polygon(12, size_m=100.0 + 10.0 * k) for k in range(4)]
-    held.upload(FENCE, versions[0])
-    held.simulation.add_fault("link_loss 10 % on link 0")
-    held.run(20.0, client, lambda: client.is_done)
-    seen = set[int]()
-    for number, fence in enumerate(versions[1:], start=1):
-        held.upload(FENCE, fence, client, pause_s=0.2)
-        for _ in range(40):
-            held.run(0.2, client)
-            seen.add([placed(each) for each in versions[: number + 1]].index(known(client)))
-        assert known(client) == placed(fence)
-    assert len(seen) >= 3
-
-
 @BOTH
 def test_looks_leave_the_autopilot_idle_for_the_others(firmware: Firmware) -> None:
     """A ground station on the same link may upload right after each of our looks."""
@@ -198,7 +179,7 @@ def test_the_same_items_are_no_change_also_where_a_parameter_is_no_number() -> N
 
 
 def test_a_list_that_was_read_with_gaps_counts_when_it_is_read_twice_the_same() -> None:
-    """In a gap somebody may have replaced it: half old, half new; the first is better than none."""
+    """In a gap somebody may have replaced it: half old, half new is never seen; but at first."""
     client, known = begun(), []
     for at_s, radius in ((0.1, 50.0), (2.0, 51.0), (4.0, 52.0), (6.0, 52.0)):
         client.on_message(count(1), at_s)

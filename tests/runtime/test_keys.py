@@ -38,18 +38,22 @@ def test_the_file_holds_a_phrase_or_hexadecimal_digits(
 
 
 OTHERS_MAY = "others may read or change it.*chmod 600 .*vehicle.key"
-NO_KEY = "a key is one line of text"
+NO_KEY, NO_STAMP = "a key is one line of text", r"vehicle\.key\.time.*Delete it"
 REFUSED = [
-    *((PHRASE, mode, OTHERS_MAY) for mode in (0o644, 0o640, 0o604, 0o620, 0o602, 0o660)),
-    *((content, 0o600, NO_KEY) for content in (b"", b"\n", b"  \n", b"\xff\xfe\n", b"a\nb\n")),
-    (b"k" * 5000, 0o600, NO_KEY),
+    *((PHRASE, mode, "", OTHERS_MAY) for mode in (0o644, 0o640, 0o604, 0o620, 0o602, 0o660)),
+    *((text, 0o600, "", NO_KEY) for text in (b"", b"\n", b"  \n", b"\xff\xfe\n", b"a\nb\n")),
+    (b"k" * 5000, 0o600, "", NO_KEY),
+    *((PHRASE, 0o600, stamp, NO_STAMP) for stamp in (" ", "12", "a b", "1 2 3", "-1 5", "1 \0")),
+    *((PHRASE, 0o600, stamp, NO_STAMP) for stamp in (f"{2**48} 5", "9" * 9999)),
 ]
 
 
-@pytest.mark.parametrize(("content", "mode", "why"), REFUSED)
-def test_a_file_that_others_can_read_or_that_holds_no_key_is_refused_without_being_shown(
-    tmp_path: Path, content: str | bytes, mode: int, why: str
+@pytest.mark.parametrize(("content", "mode", "stamp", "why"), REFUSED)
+def test_a_file_that_others_can_read_or_that_holds_no_key_or_time_is_refused_and_not_shown(
+    tmp_path: Path, content: str | bytes, mode: int, stamp: str, why: str
 ) -> None:
+    if stamp:
+        (tmp_path / "vehicle.key.time").write_text(stamp)
     with pytest.raises(InputError, match=why) as caught:
         SigningKey(key_file(tmp_path, content, mode))
     assert "kkk" not in str(caught.value)
@@ -57,16 +61,6 @@ def test_a_file_that_others_can_read_or_that_holds_no_key_is_refused_without_bei
     for path in (tmp_path / "absent", tmp_path):
         with pytest.raises(InputError, match="cannot be read"):
             SigningKey(path)
-
-
-@pytest.mark.parametrize(
-    "content", ["", "12", "a b", "1 2 3", "-1 5", f"{2**48} 5", "1 \0", "9" * 9999]
-)
-def test_a_time_stamp_that_cannot_be_one_is_refused(tmp_path: Path, content: str) -> None:
-    path = key_file(tmp_path)
-    (tmp_path / "vehicle.key.time").write_text(content)
-    with pytest.raises(InputError, match=r"vehicle\.key\.time.*Delete it"):
-        SigningKey(path)
 
 
 def test_a_disk_that_fails_is_refused_at_the_start_and_does_not_end_the_flight(

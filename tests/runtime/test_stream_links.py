@@ -345,15 +345,17 @@ def test_a_device_that_vanishes_while_it_is_opened_again_is_opened_once_more(
         assert heard(link, 4) == b"back"
 
 
-def test_a_serial_port_is_for_one_program_at_a_time(terminal: Terminal) -> None:
-    with open_link(terminal.name), pytest.raises(InputError, match="end the program that uses it"):
-        open_link(terminal.name)
-    open_link(terminal.name).close()
-
-
-def test_what_is_no_serial_port_is_an_input_error_with_its_remedy(tmp_path: Path) -> None:
+def test_what_is_no_serial_port_or_in_use_is_an_input_error_with_its_remedy(
+    terminal: Terminal, tmp_path: Path
+) -> None:
     (tmp_path / "a-file").write_text("", encoding="utf-8")
-    for name, remedy in (("nothing-here", r"No such file.*plug a device in"), ("a-file", "Give")):
-        with pytest.raises(InputError, match=remedy) as caught:
-            open_link(str(tmp_path / name))
-        assert "\n" not in str(caught.value)
+    with open_link(terminal.name):
+        for name, remedy in (
+            ("nothing-here", r"No such file.*plug a device in"),
+            ("a-file", "Give"),
+            (terminal.path.name, "end the program that uses it"),
+        ):
+            with pytest.raises(InputError, match=remedy) as caught:
+                open_link(str(tmp_path / name))
+            assert "\n" not in str(caught.value)
+    open_link(terminal.name).close()

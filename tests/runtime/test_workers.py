@@ -31,6 +31,7 @@ from companion.mission.events import End, Outcome
 from companion.runtime import loop, planner_process, recorder, watchdog
 from companion.runtime.compiler import load_libraries
 from companion.runtime.planner_process import PlannerHere, PlannerProcess
+from companion.runtime.watchdog import Failure
 from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.run_folder import RunFolder
 
@@ -57,8 +58,6 @@ class Rig:
             "lockstep": False,
             "planner": PlannerHere(odd_planners.echoes),
         }
-        self.once_flying: Callable[[], None] = lambda: None
-        """What happens once setpoints are streamed."""
         self.released = threading.Event()
         """What has stood still goes on."""
         self._over = threading.Event()
@@ -136,43 +135,69 @@ def rig(folder: RunFolder, monkeypatch: pytest.MonkeyPatch) -> Rig:
     return Rig(folder)
 
 
-# --- deaths: how each comes about in a flight; the part that has died, and what is said of it
+# --- deaths: how each comes about in a flight, and what is said of it
 
 
-def broken(rig: Rig, error: Exception) -> Callable[..., Any]:
-    def breaks(*_: object) -> Any:
-        rig.breaks_now()
-        raise error
-
-    return breaks
+def breaks(rig: Rig, error: Exception) -> None:
+    rig.breaks_now()
+    raise error
 
 
-def session_raises(rig: Rig) -> tuple[str, str]:
-    rig.at(BREAKS_AT, broken(rig, OSError("made up")))
-    return "decider", "OSError: made up"
+def session_raises(rig: Rig) -> str:
+    rig.at(BREAKS_AT, lambda: breaks(rig, OSError("made up")))
+    return "OSError: made up"
 
 
-def session_raises_and_cannot_even_say_hold(rig: Rig) -> tuple[str, str]:
+def session_raises_and_cannot_even_say_hold(rig: Rig) -> str:
     """It has said it before."""
 
-    def breaks() -> None:
+    def does() -> None:
         rig.session.hold_frames = None  # type: ignore[assignment, method-assign]
-        broken(rig, KeyError("made up"))()
+        breaks(rig, KeyError("made up"))
 
-    rig.at(BREAKS_AT, breaks)
-    return "decider", "KeyError"
+    rig.at(BREAKS_AT, does)
+    return "KeyError"
 
 
-def session_stands_still(rig: Rig) -> tuple[str, str]:
+def session_stands_still(rig: Rig) -> str:
     def stops() -> None:
         rig.breaks_now()
         rig.released.wait()
 
     rig.at(BREAKS_AT, stops)
-    return "decider", "stood still"
+    return "stood still"
 
 
-DEATHS = [session_raises, session_raises_and_cannot_even_say_hold, session_stands_still]
+@pytest.mark.parametrize(
+    ("death", "lockstep"),
+    [
+        *((session_raises, lockstep) for lockstep in (False, True)),
+        *((session_raises_and_cannot_even_say_hold, False), (session_stands_still, False)),
+    ],
+)
+def test_once_it_has_died_nothing_more_is_streamed_and_the_vehicle_is_told_to_hold(
+    rig: Rig, death: Callable[[Rig], str], lockstep: bool
+) -> None:
+    """The stream and the heartbeats stop in time; in lockstep nothing depends on the clock."""
+    error, rig.options["lockstep"] = death(rig), lockstep
+    with rig.flying():
+        assert rig.end.outcome is Outcome.FAILED
+        assert "decider" in rig.end.reason
+        sent = len(rig.link.sent)
+        rig.released.set()  # what it says now leaves no more
+    assert len(rig.link.sent) == sent
+    assert error == "stood still" or rig.session.died == []  # it cannot be told
+    for frame in (SETPOINT, HEARTBEAT):
+        assert rig.link.times_of(frame)[-1] - rig.broken_s < BAR_S
+    holds_s = rig.link.times_of(HOLD)
+    assert len(holds_s) == 3
+    assert holds_s[0] - rig.broken_s < BAR_S
+    assert rig.link.sent[-1][1] == HOLD
+    lines = (rig.folder.path / "journal.jsonl").read_text("utf-8").splitlines()
+    [noted] = [each for each in map(json.loads, lines) if each["kind"] == "part died"]
+    assert noted["part"] == "decider"
+    assert error in noted["error"]
+    assert HOLD in (rig.folder.path / "flight.tlog").read_bytes()
 
 
 def planner_raises(rig: Rig) -> str:
@@ -194,62 +219,24 @@ def planner_is_killed(rig: Rig) -> str:
     def kill() -> None:
         rig.breaks_now()
         assert planner.process is not None
-        assert planner.process.pid is not None
-        os.kill(planner.process.pid, signal.SIGKILL)
+        os.kill(planner.process.pid or 0, signal.SIGKILL)
 
-    rig.once_flying = kill
+    rig.at(10, kill)
     return "its process has ended (SIGKILL)"
 
 
 @pytest.mark.parametrize("death", [planner_raises, planner_stands_still, planner_is_killed])
-def test_once_its_planner_has_failed_nothing_more_is_streamed_and_the_vehicle_is_told_to_hold(
+def test_once_its_planner_has_failed_the_session_says_so_and_ends(
     rig: Rig, death: Callable[[Rig], str]
 ) -> None:
-    """The session itself says so, and ends."""
     error = death(rig)
     with rig.flying():
-        rig.once_flying()
         assert rig.end.outcome is Outcome.FAILED
     assert rig.session.died == [("planner", error)]
     [hold_s] = rig.link.times_of(HOLD)
     assert hold_s - rig.broken_s < BAR_S
     assert rig.link.times_of(SETPOINT)[-1] <= hold_s
     assert rig.longest_gap_s < BAR_S
-
-
-def assert_held(rig: Rig, part: str, error: str) -> None:
-    """The stream and the heartbeats stopped in time, and the autopilot was told to hold."""
-    assert rig.end.outcome is Outcome.FAILED
-    assert part in rig.end.reason
-    for frame in (SETPOINT, HEARTBEAT):
-        assert rig.link.times_of(frame)[-1] - rig.broken_s < BAR_S
-    holds_s = rig.link.times_of(HOLD)
-    assert len(holds_s) == 3
-    assert holds_s[0] - rig.broken_s < BAR_S
-    assert rig.link.sent[-1][1] == HOLD
-    lines = (rig.folder.path / "journal.jsonl").read_text("utf-8").splitlines()
-    [noted] = [each for each in map(json.loads, lines) if each["kind"] == "part died"]
-    assert noted["part"] == part
-    assert error in noted["error"]
-    assert HOLD in (rig.folder.path / "flight.tlog").read_bytes()
-
-
-@pytest.mark.parametrize(
-    ("death", "lockstep"), [*((death, False) for death in DEATHS), (session_raises, True)]
-)
-def test_whatever_dies_nothing_more_is_streamed_and_the_vehicle_is_told_to_hold(
-    rig: Rig, death: Callable[[Rig], tuple[str, str]], lockstep: bool
-) -> None:
-    """In lockstep nothing depends on the clock, but a death is a death."""
-    part, error = death(rig)
-    rig.options["lockstep"] = lockstep
-    with rig.flying():
-        rig.once_flying()
-        assert_held(rig, part, error)
-        sent = len(rig.link.sent)
-        rig.released.set()  # what it says now leaves no more
-    assert len(rig.link.sent) == sent
-    assert error.startswith("stood") or rig.session.died == []  # it cannot be told
 
 
 def its_clock_fails(rig: Rig) -> type[BaseException]:
@@ -348,17 +335,22 @@ def test_a_setpoint_that_took_too_long_is_not_sent(rig: Rig) -> None:
 # --- the disk: a flight goes on without it
 
 
-def test_what_cannot_be_written_ends_the_recording_alone(rig: Rig) -> None:
-    """A disk that is full: `closed_loop/test_shown`."""
-    odd = {"t_s": 1.0, "kind": "odd", "value": object()}
-    rig.at(10, lambda: rig.session.out.journal.append(odd))
-    with rig.flying():
-        rig.link.wait_until(lambda: bool(rig.session.complaints))
-        rig.streams_on()
-    [said] = rig.session.complaints
-    assert said.startswith("not recorded any more: TypeError")
-    assert rig.link.times_of(HOLD) == []
-    assert rig.end.outcome is Outcome.STOPPED
+def test_what_is_lost_of_a_recording_is_told_once_and_the_rest_is_recorded(
+    folder: RunFolder, tmp_path: Path
+) -> None:
+    """That the flight goes on without: below, and on a full disk `closed_loop/test_shown`."""
+    told = list[Failure]()
+    writes = recorder.Recorder(folder, time.monotonic, told.append)
+    moved = folder.path.rename(tmp_path / "moved")
+    for number in range(3):
+        entry = {"t_s": 1.0, "kind": "x"}
+        writes.put(Output(checkpoint={"number": number}, journal=[entry]))
+    assert told == [Failure("state for --resume", "No such file or directory")]
+    assert len((moved / "journal.jsonl").read_text("utf-8").splitlines()) == 3
+    for _ in range(2):
+        writes.put(Output(journal=[{"t_s": 1.0, "kind": "odd", "value": object()}]))
+    assert [failure.part for failure in told[1:]] == [recorder.WRITER]
+    assert told[1].error.startswith("TypeError")
 
 
 def test_a_disk_that_blocks_does_not_delay_the_stream_and_is_told_of_once(
@@ -388,26 +380,6 @@ def test_a_disk_that_blocks_does_not_delay_the_stream_and_is_told_of_once(
     assert "stood still" in said
     assert rig.link.times_of(HOLD) == []
     assert rig.longest_gap_s < BAR_S
-
-
-def test_a_folder_that_is_moved_away_is_told_of_once_and_what_grows_is_recorded_there(
-    rig: Rig, tmp_path: Path
-) -> None:
-    def moves(session: StubSession, number: int) -> None:
-        if number == 10:
-            rig.folder.path.rename(tmp_path / "moved")
-        session.out.checkpoint = {"number": number}
-        session.out.journal.append({"t_s": session.now_s, "kind": "x"})
-
-    rig.session.on_datagram = moves
-    with rig.flying():
-        rig.link.wait_until(lambda: bool(rig.session.complaints))
-        size = (tmp_path / "moved" / "journal.jsonl").stat().st_size
-        rig.streams_on()
-    lost = "state for --resume is lost: No such file or directory"
-    assert rig.session.complaints == [lost]
-    assert rig.link.times_of(HOLD) == []
-    assert (tmp_path / "moved" / "journal.jsonl").stat().st_size > size
 
 
 def test_what_waits_for_a_slow_disk_has_an_end(
