@@ -2,6 +2,7 @@
 
 from copy import deepcopy
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -22,8 +23,13 @@ def ended(it: Pair) -> bool:
     return it.out.end is not None
 
 
-def flying() -> Pair:
+@cache
+def _on_its_way() -> Pair:
     return pair().fly_out()
+
+
+def flying() -> Pair:
+    return deepcopy(_on_its_way())
 
 
 def times(it: Pair, kind: str) -> list[float]:
@@ -38,9 +44,7 @@ def flown() -> Pair:
     return pair().run_until(ended)
 
 
-def test_every_frame_is_the_companions_to_its_vehicle_counts_on_and_is_recorded_in_order(
-    flown: Pair,
-) -> None:
+def test_every_frame_is_ours_to_its_vehicle_counts_on_and_is_recorded(flown: Pair) -> None:
     sent = messages(flown.frames)
     assert {(m.get_srcSystem(), m.get_srcComponent()) for m in sent} == {(1, 195)}
     assert {m.target_system for m in sent if hasattr(m, "target_system")} == {1}
@@ -53,9 +57,7 @@ def test_every_frame_is_the_companions_to_its_vehicle_counts_on_and_is_recorded_
     assert len(flown.record) > len(flown.frames) + 100
 
 
-def test_it_says_once_a_vehicle_second_that_it_is_there_and_in_which_state_until_it_leaves(
-    flown: Pair,
-) -> None:
+def test_it_says_each_vehicle_second_in_which_state_it_is_until_it_leaves(flown: Pair) -> None:
     said = [(time_s, message) for time_s, frame in flown.record for message in messages([frame])]
     beats = [(t_s, m) for t_s, m in said if (m.get_msgId(), m.get_srcComponent()) == (0, 195)]
     gaps = np.diff([time_s for time_s, _ in beats])
@@ -68,9 +70,7 @@ def test_it_says_once_a_vehicle_second_that_it_is_there_and_in_which_state_until
     assert (last.get_type(), last.system_status) == ("HEARTBEAT", wire.MAV_STATE_POWEROFF)
 
 
-def test_a_flight_ends_at_its_target_and_each_position_is_answered_by_one_setpoint_of_its_time(
-    flown: Pair,
-) -> None:
+def test_a_flight_ends_at_its_target_and_a_setpoint_answers_each_position(flown: Pair) -> None:
     assert flown.end.outcome is Outcome.ARRIVED
     assert (flown.vehicle.north_m, flown.vehicle.east_m) == pytest.approx((4000, 3000), abs=1.0)
     assert flown.vehicle.mode == BRAKE
@@ -103,9 +103,7 @@ def asked(lockstep: bool) -> Pair:
 
 
 @pytest.mark.parametrize("lockstep", [True, False])
-def test_a_plan_that_is_delivered_at_once_still_counts_at_request_plus_t_and_not_before(
-    lockstep: bool,
-) -> None:
+def test_a_plan_delivered_at_once_counts_at_request_plus_t(lockstep: bool) -> None:
     it = asked(lockstep)
     it.session.deliver(straight_plan(it.asked))
     it.run_until(lambda it: bool(times(it, "plan ready")))
@@ -207,7 +205,7 @@ def test_the_only_vehicle_that_is_heard_three_times_is_ours_or_the_one_that_the_
 # --- streams and clocks
 
 
-def test_streams_that_do_not_arrive_are_asked_for_again_and_others_are_not(
+def test_streams_that_do_not_arrive_alone_are_asked_for_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     it, never, arrive = pair(), (1, 30), {33, 245, 24, 193, 242}
@@ -223,9 +221,7 @@ def test_streams_that_do_not_arrive_are_asked_for_again_and_others_are_not(
 
 
 @pytest.mark.parametrize("hears_s", [3, 30])
-def test_a_stream_request_that_gets_lost_before_the_clock_runs_is_repeated_in_real_time(
-    hears_s: int,
-) -> None:
+def test_a_stream_request_lost_before_the_clock_runs_is_repeated(hears_s: int) -> None:
     """ArduPilot loses requests in its first 40 ms, and says only HEARTBEAT until it is asked."""
     it = pair(lockstep=False)
     for second in range(30):
@@ -277,35 +273,33 @@ def test_a_reboot_of_the_vehicle_on_the_ground_does_not_stop_the_companions_cloc
     assert again >= {"HEARTBEAT", "COMMAND_LONG"}
 
 
-@pytest.mark.parametrize("off_ms", [1_000_000, 2_500, -2_500, 4_000_000_000])
 @pytest.mark.parametrize("copies", [1, 3])
-def test_a_moment_with_a_wrong_time_stamp_changes_nothing_of_a_flight(
-    off_ms: int, copies: int
-) -> None:
+def test_a_moment_of_a_wrong_time_changes_nothing_of_a_flight(copies: int) -> None:
     """Its position, 11 m to the north, is not believed either."""
-    it, undisturbed = flying(), flying()
-    sender, stamp_ms = it.vehicle.autopilot, it.vehicle.time_ms + off_ms
-    [here] = messages([it.vehicle.position()])
-    place = (here.lat + 1_000, here.lon, here.alt, 0, here.vx, here.vy, here.vz, 0)
-    for wrong in (
-        wire.MAVLink_attitude_message(stamp_ms, 0, 0, 0, 0, 0, 0),
-        wire.MAVLink_global_position_int_message(stamp_ms, *place),
-        wire.MAVLink_system_time_message(0, stamp_ms),
-        wire.MAVLink_local_position_ned_message(stamp_ms, 0, 0, 0, 0, 0, 0),
-    ):
-        it.feed(copies * wrong.pack(sender))
-    for each in (it, undisturbed):
-        each.run_until(lambda it: it.vehicle.time_ms >= 60_000)
-    told = [[m.to_dict() for m in each.sent(SETPOINT)] for each in (it, undisturbed)]
-    assert told[0] == told[1]
-    assert it.phase is Phase.FLYING
+    undisturbed = flying().run_for(5.0)
+    for off_ms in (1_000_000, 2_500, -2_500, 4_000_000_000):
+        it = flying()
+        sender, stamp_ms = it.vehicle.autopilot, it.vehicle.time_ms + off_ms
+        [here] = messages([it.vehicle.position()])
+        place = (here.lat + 1_000, here.lon, here.alt, 0, here.vx, here.vy, here.vz, 0)
+        for wrong in (
+            wire.MAVLink_attitude_message(stamp_ms, 0, 0, 0, 0, 0, 0),
+            wire.MAVLink_global_position_int_message(stamp_ms, *place),
+            wire.MAVLink_system_time_message(0, stamp_ms),
+            wire.MAVLink_local_position_ned_message(stamp_ms, 0, 0, 0, 0, 0, 0),
+        ):
+            it.feed(copies * wrong.pack(sender))
+        it.run_for(5.0)
+        told = [[m.to_dict() for m in each.sent(SETPOINT)] for each in (it, undisturbed)]
+        assert told[0] == told[1]
+        assert it.phase is Phase.FLYING
 
 
 # --- silence, stop, death
 
 
 @pytest.mark.parametrize(("lockstep", "longest_s"), [(True, 30.0), (False, 600.0)])
-def test_silence_in_flight_holds_after_3_s_and_ends_a_real_flight_only_after_10_minutes(
+def test_silence_in_flight_holds_after_3_s_and_ends_it_much_later(
     lockstep: bool, longest_s: float
 ) -> None:
     it = asked(lockstep)

@@ -111,7 +111,7 @@ def test_plans_are_not_done_before_a_fence_about_home_is_drawn() -> None:
     assert "fence about home (radius 60 m)" in told[0].refusal
 
 
-def test_the_fence_that_is_known_stays_in_force_while_it_is_read_again_after_a_reboot() -> None:
+def test_the_fence_that_is_known_stays_in_force_while_it_is_read_anew() -> None:
 
     def zones(side: Side) -> list[int]:
         return [len(event.zones) for event in side.told(FenceChanged)]
@@ -192,9 +192,7 @@ def test_who_keeps_setting_a_parameter_back_is_said_once_and_not_fought_for_ever
     assert 2 <= len([each for each in sets if each.param_id == "COM_OBL_RC_ACT"]) <= 6
 
 
-def test_what_could_not_be_set_is_refused_with_what_became_of_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_could_not_be_set_is_refused_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     side = Side("px4", sets=True)
     side.held.simulation.set_parameter("COM_OBL_RC_ACT", 0.0)
     say = side.held.say
@@ -307,9 +305,7 @@ FIFTH = replace(
 )
 
 
-def test_a_fifth_autopilot_is_one_value_that_nothing_else_has_to_know_of(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_fifth_autopilot_is_one_value(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(autopilots, "ALL", (*autopilots.ALL, FIFTH))
     of = wire.MAV_TYPE_QUADROTOR, wire.MAV_AUTOPILOT_SMACCMPILOT, 129, 77, 4, 3
     heartbeat = over_the_wire(wire.MAVLink_heartbeat_message(*of))

@@ -149,9 +149,7 @@ def test_the_transfers_of_others_are_none_of_ours() -> None:
     ("result", "is_done"),
     [(wire.MAV_MISSION_UNSUPPORTED, True), (wire.MAV_MISSION_DENIED, False)],
 )
-def test_what_is_not_supported_is_done_and_denied_is_asked_again(
-    result: int, is_done: bool
-) -> None:
+def test_what_is_not_supported_is_done_and_denied_asked_again(result: int, is_done: bool) -> None:
     """Denied: somebody else is uploading."""
     client = begun()
     refused = over_the_wire(wire.MAVLink_mission_ack_message(*OURS, result, FENCE))

@@ -64,9 +64,7 @@ def test_keys_are_of_32_bytes_and_never_shown() -> None:
 
 
 @given(st.lists(st.floats(-1e6, 1e6) | st.just(math.nan) | st.just("frame"), max_size=30))
-def test_our_time_stamps_rise_whatever_the_clock_does(
-    happenings: list[float | str],
-) -> None:
+def test_our_time_stamps_rise_whatever_the_clock_does(happenings: list[float | str]) -> None:
     signing = ours()
     for at_s in (1000.0, 1060.0):
         signing.on_time(at_s)

@@ -142,9 +142,7 @@ def test_an_arduplane_is_repositioned(stay: bool, wanted_m: float, circle_m: flo
         ("yaw_rad", (math.nan, math.inf)),
     ],
 )
-def test_what_is_not_finite_or_out_of_range_is_not_sent(
-    autopilot: Autopilot, field: str, values: Any
-) -> None:
+def test_what_is_out_of_range_is_not_sent(autopilot: Autopilot, field: str, values: Any) -> None:
     gulf = To(SYSTEM, LocalFrame(latitude_deg=0.0, longitude_deg=0.0))
     for stay in (False, True):
         for bad in values:
@@ -272,9 +270,7 @@ def test_a_local_echo_is_read_on_the_autopilots_own_earth(
 
 
 @each
-def test_a_local_echo_needs_an_origin_a_vehicle_that_hovers_and_numbers(
-    autopilot: Autopilot,
-) -> None:
+def test_a_local_echo_needs_an_origin_hovering_and_numbers(autopilot: Autopilot) -> None:
     told = (1.0, 2.0, -3.0)
     assert event(local_target(*told), autopilot, None) is None
     is_echo = isinstance(event(local_target(*told), autopilot, ORIGINS[0]), Echo)
@@ -442,9 +438,7 @@ def test_a_take_off_is_to_a_height_above_home_by_a_mode_or_to_an_altitude_amsl()
 
 
 @each
-def test_arduplane_alone_is_told_its_airspeed_and_refuses_a_setpoint_in_words(
-    autopilot: Autopilot,
-) -> None:
+def test_arduplane_alone_is_told_its_airspeed_and_refuses_setpoints(autopilot: Autopilot) -> None:
     messages = [over_the_wire(message) for message in autopilot.set_speed(18.0, SYSTEM)]
     told = [(m.get_type(), m.command, m.param1, m.param2, m.param3) for m in messages]
     airspeed = ("COMMAND_INT", 43000, wire.SPEED_TYPE_AIRSPEED, 18.0, 0.0)

@@ -31,9 +31,7 @@ def frames_are_believed(path: Path, key: bytes) -> bool:
 
 @pytest.mark.parametrize("ending", ["", "\n", "\r\n"])
 @pytest.mark.parametrize("text", [PHRASE, "9f" * 32, "Zündschlüssel "])
-def test_the_file_holds_a_phrase_or_hexadecimal_digits(
-    tmp_path: Path, text: str, ending: str
-) -> None:
+def test_the_file_holds_a_phrase_or_hexadecimals(tmp_path: Path, text: str, ending: str) -> None:
     assert frames_are_believed(key_file(tmp_path, text + ending), key_of(text))
 
 
@@ -63,9 +61,7 @@ def test_a_file_that_others_can_read_or_that_holds_no_key_or_time_is_refused_and
             SigningKey(path)
 
 
-def test_a_disk_that_fails_is_refused_at_the_start_and_does_not_end_the_flight(
-    tmp_path: Path,
-) -> None:
+def test_a_disk_that_fails_is_refused_at_the_start_and_ends_no_flight(tmp_path: Path) -> None:
     key, blocked = SigningKey(key_file(tmp_path)), tmp_path / f"vehicle.key.time.{os.getpid()}"
     blocked.mkdir()
     with pytest.raises(InputError, match="cannot be kept"):

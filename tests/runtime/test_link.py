@@ -27,9 +27,7 @@ def calling(other: socket.socket) -> Link:
     return open_link(f"udpout:localhost:{other.getsockname()[1]}")
 
 
-def test_datagrams_arrive_whole_and_in_order_both_ways_and_the_port_is_given_back(
-    other: socket.socket,
-) -> None:
+def test_datagrams_arrive_whole_in_order_and_the_port_is_given_back(other: socket.socket) -> None:
     """What is sent before anybody was heard is dropped."""
     port = free_port()
     for _ in range(2):

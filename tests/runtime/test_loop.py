@@ -83,9 +83,7 @@ def stream(
     return fly(link, folder, as_any(session), lockstep=False, stop_asked=over)
 
 
-def test_a_flight_in_lockstep_ends_at_its_target_and_its_folder_holds_all_that_was_said(
-    folder: RunFolder,
-) -> None:
+def test_a_flight_in_lockstep_ends_at_its_target_and_all_is_recorded(folder: RunFolder) -> None:
     def cut(request: PlanRequest, stop: object) -> PlanOutcome:
         return replace(straight_plan(request, stop), stopped_after=2)
 
@@ -104,9 +102,7 @@ def test_a_flight_in_lockstep_ends_at_its_target_and_its_folder_holds_all_that_w
         assert bytes(message.get_msgbuf()) in log
 
 
-def test_a_vehicle_that_falls_silent_ends_the_flight_whoever_else_speaks(
-    folder: RunFolder,
-) -> None:
+def test_a_vehicle_that_falls_silent_ends_it_whoever_else_speaks(folder: RunFolder) -> None:
     vehicle = Vehicle()
 
     class Failing(ScriptedLink):
@@ -163,9 +159,7 @@ def run(link: Link, clock: Clock, planner: Any, until: Callable[[], bool], locks
 
 
 @pytest.mark.parametrize("stopped", [False, True])
-def test_while_its_planner_is_loaded_it_sends_heartbeats_and_listens_to_ctrl_c_alone(
-    stopped: bool,
-) -> None:
+def test_while_its_planner_is_loaded_it_beats_and_hears_ctrl_c_alone(stopped: bool) -> None:
     """For as long as that takes: that no vehicle is heard of meanwhile is nobody's fault."""
     vehicle, waits_s, clock = Vehicle(), 30.0, Clock()
     link = QueueLink(lambda: clock.now_s)
@@ -213,9 +207,7 @@ def test_in_lockstep_the_death_of_a_planner_outlasts_a_question_that_it_is_asked
 
 
 @pytest.mark.parametrize(("starts_s", "heard"), [(6.0, True), (11.0, False)])
-def test_in_lockstep_a_vehicle_may_take_ten_seconds_after_the_planner_is_ready(
-    starts_s: float, heard: bool
-) -> None:
+def test_in_lockstep_a_vehicle_may_come_ten_seconds_late(starts_s: float, heard: bool) -> None:
     """Simulator and planner are both compiled the first time, one beside the other."""
     clock, ready_s = Clock(0.05), 33.0
 
@@ -262,9 +254,7 @@ def test_a_word_from_the_past_is_not_taken_for_news(folder: RunFolder) -> None:
     assert session.received == [b"first", b"new"]
 
 
-def test_what_must_outlive_the_process_is_kept_now_and_then_and_at_the_end(
-    folder: RunFolder,
-) -> None:
+def test_what_must_outlive_the_process_is_kept_now_and_at_the_end(folder: RunFolder) -> None:
     kept: list[float] = []
     link = ScriptedLink(Vehicle())
     fly(link, folder, clock=link.clock, persist=lambda: kept.append(link.clock()))

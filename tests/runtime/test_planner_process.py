@@ -42,7 +42,7 @@ def planned(planner: PlannerProcess, request: PlanRequest) -> Any:
     return answer[0]
 
 
-def test_a_plan_is_the_same_from_another_process_which_is_started_once_and_answers_any_number(
+def test_a_plan_is_the_same_from_a_process_that_answers_any_number(
     stack: contextlib.ExitStack,
 ) -> None:
     planner = of(stack)
@@ -58,9 +58,7 @@ def test_a_plan_is_the_same_from_another_process_which_is_started_once_and_answe
         np.testing.assert_allclose(found.subpath.control_nea_m, control, atol=1e-6)
 
 
-def test_arrays_arrive_as_they_were_whatever_their_order_in_memory(
-    stack: contextlib.ExitStack,
-) -> None:
+def test_arrays_arrive_as_they_were_whatever_their_order(stack: contextlib.ExitStack) -> None:
     planner, request = of(stack, odd.echoes, odd.nothing), request_of(1)
     heights = np.arange(1_000_000.0).reshape(1000, 1000)
     heights[3, :3] = np.nan, np.inf, -np.inf
@@ -103,7 +101,7 @@ def test_of_two_plans_that_are_asked_for_only_the_newer_counts_and_a_search_ends
         assert answer is None
 
 
-def test_a_process_that_does_not_come_up_or_that_cannot_be_started_is_an_error(
+def test_a_process_that_does_not_come_up_is_an_error(
     stack: contextlib.ExitStack,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

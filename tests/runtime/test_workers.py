@@ -226,7 +226,7 @@ def planner_is_killed(rig: Rig) -> str:
 
 
 @pytest.mark.parametrize("death", [planner_raises, planner_stands_still, planner_is_killed])
-def test_once_its_planner_has_failed_the_session_says_so_and_ends(
+def test_once_its_planner_has_failed_it_says_so_and_ends(
     rig: Rig, death: Callable[[Rig], str]
 ) -> None:
     error = death(rig)
@@ -304,9 +304,7 @@ def test_a_hold_that_does_not_get_out_is_tried_again(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize(("lockstep", "at"), [(False, 1), (True, BREAKS_AT)])
-def test_a_slow_start_is_no_death_nor_is_anything_slow_in_lockstep(
-    rig: Rig, lockstep: bool, at: int
-) -> None:
+def test_a_slow_start_is_no_death_nor_a_slow_lockstep(rig: Rig, lockstep: bool, at: int) -> None:
     """Before the stream a part may take its time: a computer that starts up is busy."""
     rig.options["lockstep"] = lockstep
     rig.at(at, lambda: threading.Event().wait(0.6) and None)
@@ -335,9 +333,7 @@ def test_a_setpoint_that_took_too_long_is_not_sent(rig: Rig) -> None:
 # --- the disk: a flight goes on without it
 
 
-def test_what_is_lost_of_a_recording_is_told_once_and_the_rest_is_recorded(
-    folder: RunFolder, tmp_path: Path
-) -> None:
+def test_what_is_not_recorded_is_told_once(folder: RunFolder, tmp_path: Path) -> None:
     """That the flight goes on without: below, and on a full disk `closed_loop/test_shown`."""
     told = list[Failure]()
     writes = recorder.Recorder(folder, time.monotonic, told.append)
@@ -353,9 +349,7 @@ def test_what_is_lost_of_a_recording_is_told_once_and_the_rest_is_recorded(
     assert told[1].error.startswith("TypeError")
 
 
-def test_a_disk_that_blocks_does_not_delay_the_stream_and_is_told_of_once(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_blocks_delays_no_stream(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     """The log is a pipe that nobody reads: full after 64 KiB."""
     monkeypatch.setattr(recorder, "_DISK_S", 0.3)
     monkeypatch.setattr(recorder, "_LEAVE_S", 0.3)
@@ -382,7 +376,7 @@ def test_a_disk_that_blocks_does_not_delay_the_stream_and_is_told_of_once(
     assert rig.longest_gap_s < BAR_S
 
 
-def test_what_waits_for_a_slow_disk_has_an_end(
+def test_a_slow_disk_keeps_so_much_waiting(
     folder: RunFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(recorder, "_MOST_WAITING", 100_000)
