@@ -130,7 +130,18 @@ def looked() -> Pair:
     return it
 
 
-def test_a_vehicle_that_may_fly_passes_and_each_line_names_what(good: Pair) -> None:
+REQUESTS = {wire.MAV_CMD_SET_MESSAGE_INTERVAL, wire.MAV_CMD_REQUEST_MESSAGE}
+ASKS = "HEARTBEAT TIMESYNC PARAM_REQUEST_READ MISSION_REQUEST_LIST MISSION_REQUEST_INT MISSION_ACK"
+ASKS += " TERRAIN_REQUEST STATUSTEXT COMMAND_LONG"
+
+
+def test_a_vehicle_that_may_fly_is_only_asked_and_passes_and_each_line_names_what(
+    good: Pair,
+) -> None:
+    sent = codec(1).parse_buffer(b"".join(good.sent))
+    assert {"PARAM_REQUEST_READ"} < {m.get_type() for m in sent} <= set(ASKS.split())
+    assert {m.command for m in sent if m.get_type() == "COMMAND_LONG"} <= REQUESTS
+    assert good.session.state.vehicle.armed is False
     assert good.refused == []
     passed = "vehicle, companion, messages, fence, targets, position, take-off, place, battery"
     assert {good.status(name) for name in passed.split(", ")} == {"ok"}
@@ -138,18 +149,6 @@ def test_a_vehicle_that_may_fly_passes_and_each_line_names_what(good: Pair) -> N
     for check in checks_of(good.session):
         line = f"{check.name}: {check.what}. {check.remedy}"
         assert re.fullmatch(r"[^\n:]+: [^\n]+[^.]\. ([A-Z][^\n]*\.)?", line), line
-
-
-REQUESTS = {wire.MAV_CMD_SET_MESSAGE_INTERVAL, wire.MAV_CMD_REQUEST_MESSAGE}
-ASKS = "HEARTBEAT TIMESYNC PARAM_REQUEST_READ MISSION_REQUEST_LIST MISSION_REQUEST_INT MISSION_ACK"
-ASKS += " TERRAIN_REQUEST STATUSTEXT COMMAND_LONG"
-
-
-def test_it_only_asks(good: Pair) -> None:
-    sent = codec(1).parse_buffer(b"".join(good.sent))
-    assert {"PARAM_REQUEST_READ"} < {m.get_type() for m in sent} <= set(ASKS.split())
-    assert {m.command for m in sent if m.get_type() == "COMMAND_LONG"} <= REQUESTS
-    assert good.session.state.vehicle.armed is False
 
 
 def beat(system: int, component: int, kind: int = 2, autopilot: int = 12) -> bytes:

@@ -61,24 +61,18 @@ def test_a_file_that_others_can_read_or_that_holds_no_key_or_time_is_refused_and
             SigningKey(path)
 
 
-def test_a_disk_that_fails_is_refused_at_the_start_and_ends_no_flight(tmp_path: Path) -> None:
+def test_the_time_is_kept_for_us_alone_and_a_disk_that_fails_ends_no_flight(tmp_path: Path) -> None:
     key, blocked = SigningKey(key_file(tmp_path)), tmp_path / f"vehicle.key.time.{os.getpid()}"
+    signing, kept = key.signing(clock_s=CLOCK_S), tmp_path / "vehicle.key.time"
+    assert signing.timestamp == timestamp_of(CLOCK_S)
     blocked.mkdir()
     with pytest.raises(InputError, match="cannot be kept"):
-        key.signing(clock_s=CLOCK_S)
+        key.signing(clock_s=CLOCK_S)  # refused at the start
     key.save(5, CLOCK_S)
     assert key.failure is not None
     blocked.rmdir()
-    key.save(5, CLOCK_S)
-    assert key.failure is None
-
-
-def test_the_time_stamp_is_kept_whole_and_for_us_alone(tmp_path: Path) -> None:
-    key = SigningKey(key_file(tmp_path))
-    signing = key.signing(clock_s=CLOCK_S)
-    assert signing.timestamp == timestamp_of(CLOCK_S)
     key.save(signing.timestamp + 7, CLOCK_S)
-    kept = tmp_path / "vehicle.key.time"
+    assert key.failure is None
     assert kept.stat().st_mode & 0o077 == 0
     assert sorted(each.name for each in tmp_path.iterdir()) == ["vehicle.key", "vehicle.key.time"]
     assert kept.read_text().split()[0] == str(signing.timestamp + 7)

@@ -171,7 +171,9 @@ def test_bytes_are_carried_both_ways(end: Server | Terminal) -> None:
         assert arriving(link, far, lambda data: len(data) >= len(whole)) == whole
 
 
-def test_one_that_is_lost_is_reached_again_and_nothing_is_raised(end: Server | Terminal) -> None:
+@pytest.mark.usefixtures("at_once")
+def test_one_that_is_lost_is_reached_again_until_the_link_is_closed(end: Server | Terminal) -> None:
+    """And nothing is raised."""
     with open_link(end.name) as link:
         for number in range(3):
             far = end.answers(link)
@@ -182,12 +184,7 @@ def test_one_that_is_lost_is_reached_again_and_nothing_is_raised(end: Server | T
                 assert link.receive(0.02) is None
                 link.send([FRAME])
             end.comes_back()
-
-
-@pytest.mark.usefixtures("at_once")
-def test_a_link_that_was_closed_reaches_for_nobody(end: Server | Terminal) -> None:
-    link = open_link(end.name)
-    link.close()
+        end.answers(link)
     for _ in range(3):
         assert link.receive(0.01) is None
     end.assert_left_alone()
