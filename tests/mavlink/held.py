@@ -52,8 +52,15 @@ class Client(Protocol):
 class Held:
     """The vehicle, and what was sent to it."""
 
-    def __init__(self, firmware: Firmware, kind: Kind = "copter", faults: str = "") -> None:
-        self.simulation = Simulation(level(firmware, kind), seed=1, links=2, faults=faults)
+    def __init__(
+        self,
+        firmware: Firmware,
+        kind: Kind = "copter",
+        faults: str = "",
+        world: World | None = None,
+    ) -> None:
+        world = world or level(firmware, kind)
+        self.simulation = Simulation(world, seed=1, links=2, faults=faults)
         self.sent: list[tuple[float, Any]] = []
         self.heard: list[Any] = []
         """What the client has heard."""
@@ -90,11 +97,15 @@ class Held:
             for link, frame in frames:
                 if link == 1:
                     self.others.append(frame)
-                elif client is not None:
-                    for message in self._receiver.feed(frame):
-                        if message is not None:
-                            self.heard.append(message)
-                            self.say(client.on_message(message, self.now_s))
+                else:
+                    self.deliver(frame, client)
+
+    def deliver(self, frame: bytes, client: Client | None) -> None:
+        """What the vehicle says on link 0."""
+        for message in self._receiver.feed(frame) if client is not None else ():
+            if client is not None and message is not None:
+                self.heard.append(message)
+                self.say(client.on_message(message, self.now_s))
 
     def say(self, messages: list[Any]) -> None:
         for message in messages:

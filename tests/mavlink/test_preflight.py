@@ -2,13 +2,12 @@
 
 import math
 import re
-from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from held import FOUR, level
+from held import FOUR, Held, level, place_e7
 from random_programs import message_numbers
 from renewed import replace
 from scripted_vehicle import straight_plan
@@ -23,7 +22,7 @@ from companion.mission.state import Phase, Reason
 from companion.session import Session
 from companion.world.known_map import empty_map
 from companion.world.near_map import NearSensor
-from vehicle_sim.simulation import Simulation
+from vehicle_sim.plans import PlanItem as Stored
 
 NAMES = dict(
     zip(("sitl-arducopter", "sitl-arduplane", "sitl-px4", "sitl-px4-plane"), FOUR, strict=True)
@@ -32,7 +31,7 @@ COPTER, PX4, PX4_PLANE = "sitl-arducopter", "sitl-px4", "sitl-px4-plane"
 KEY = bytes(range(32))
 
 
-class Pair:
+class Pair(Held):
     """A whole session and a simulated vehicle at the two ends of a link, and what checks say."""
 
     def __init__(
@@ -45,44 +44,32 @@ class Pair:
         has_key: bool = False,
         **changes: Any,
     ) -> None:
-        mission = load_mission(name)
+        mission = replace(load_mission(name), **changes)
         where = mission.frame.latitude_deg, mission.frame.longitude_deg
         world = level(*NAMES[name], (*where, 488.0 if "px4" in name else 584.0))
         vehicle = world.vehicle.model_copy(update={"parameters": parameters or {}})
         world = world.model_copy(update={"vehicle": vehicle})
         key = Signing(key=KEY, timestamp=10**13) if has_key else None
-        self.vehicle = Simulation(world, seed=1, links=2, faults=faults)
-        self.session = Session(
-            replace(mission, **changes), seed=1, lockstep=False, go=True, shadow=shadow, signing=key
-        )
+        self.session = Session(mission, seed=1, lockstep=False, go=True, shadow=shadow, signing=key)
         self.end: Any = None
-        self.sent: list[bytes] = []
+        self.frames: list[bytes] = []
+        """Sent to the vehicle."""
         self.loses: tuple[int, ...] = ()
         """Messages that are lost on the way to the companion."""
+        super().__init__(*NAMES[name], faults, world)
 
-    def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
-        end_us = self.vehicle.now_us + seconds * 1e6
-        while self.vehicle.now_us < end_us and not until():
-            self.vehicle.step()
-            while frames := self.vehicle.take_frames():
-                for link, frame in frames:
-                    if link == 0 and number_of(frame) not in self.loses:
-                        self.session.receive(frame, self.vehicle.now_us * 1e-6)
-                self.answer()
-
-    def answer(self) -> None:
-        """What the session has to say is said; a plan is there as soon as it is asked for."""
+    def deliver(self, frame: bytes, _client: object = None) -> None:
+        """A plan is there as soon as it is asked for."""
+        if number_of(frame) in self.loses:
+            return
+        self.session.receive(frame, self.now_s)
         out = self.session.run()
         self.end = self.end or out.end
-        self.sent += out.frames
-        for frame in out.frames:
-            self.vehicle.receive(0, frame)
+        self.frames += out.frames
+        for each in out.frames:
+            self.simulation.receive(0, each)
         if out.plan is not None:
             self.session.deliver(straight_plan(out.plan))
-
-    def station(self, message: Any) -> None:
-        """A ground station (255/190) says this to the vehicle, on another link."""
-        self.vehicle.receive(1, message.pack(wire.MAVLink(None, srcSystem=255, srcComponent=190)))
 
     def looked_at(self, seconds: float = 60.0) -> "Pair":
         """As `companion preflight` does it, without its waits."""
@@ -124,9 +111,7 @@ def looked() -> Pair:
     sweep = wire.MAVLink_obstacle_distance_message(0, 0, [500] * 72, 5, 20, 1600)
     heights = wire.MAVLink_terrain_data_message(0, 0, 100, 0, [0] * 16)
     for message, ids in ((sweep, (1, 191)), (heights, (2, 101))):
-        frame = message.pack(wire.MAVLink(None, srcSystem=ids[0], srcComponent=ids[1]))
-        it.session.receive(frame, it.vehicle.now_us * 1e-6)
-        it.answer()
+        it.deliver(message.pack(wire.MAVLink(None, srcSystem=ids[0], srcComponent=ids[1])))
     return it
 
 
@@ -138,7 +123,7 @@ ASKS += " TERRAIN_REQUEST STATUSTEXT COMMAND_LONG"
 def test_a_vehicle_that_may_fly_is_only_asked_and_passes_and_each_line_names_what(
     good: Pair,
 ) -> None:
-    sent = codec(1).parse_buffer(b"".join(good.sent))
+    sent = codec(1).parse_buffer(b"".join(good.frames))
     assert {"PARAM_REQUEST_READ"} < {m.get_type() for m in sent} <= set(ASKS.split())
     assert {m.command for m in sent if m.get_type() == "COMMAND_LONG"} <= REQUESTS
     assert good.session.state.vehicle.armed is False
@@ -283,22 +268,16 @@ def hides(kinds: str) -> Any:
 
 def draws(*items: tuple[int, float, float, float], kind: int = 1) -> Any:
     """By a ground station: command, parameter, north and east in metres."""
-
-    def upload(it: Pair) -> None:
-        it.station(wire.MAVLink_mission_count_message(1, 1, len(items), kind))
-        for seq, (command, value, north_m, east_m) in enumerate(items):
-            it.run(0.3)
-            latitude, longitude = it.session.mission.frame.to_geodetic_deg(north_m, east_m)
-            place = (round(latitude * 1e7), round(longitude * 1e7), 20.0)
-            numbers = (seq, 3, command, 0, 1, value, 0.0, 0.0, 0.0, *place, kind)
-            it.station(wire.MAVLink_mission_item_int_message(1, 1, *numbers))
-        it.run(0.5)
-
-    return upload
+    stored = []
+    for command, value, north_m, east_m in items:
+        x, y = place_e7(north_m, east_m)
+        numbers = (value, 0.0, 0.0, 0.0)
+        stored.append(Stored(frame=3, command=command, parameters=numbers, x=x, y=y, z_m=20.0))
+    return lambda it: it.upload(kind, stored)
 
 
 def signs(it: Pair) -> None:
-    it.station(wire.MAVLink_setup_signing_message(1, 1, list(KEY), 10**13))
+    it.other(wire.MAVLink_setup_signing_message(1, 1, list(KEY), 10**13))
 
 
 UNSAFE = {"COM_OBL_RC_ACT": 0.0}
