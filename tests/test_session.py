@@ -44,7 +44,13 @@ def flown() -> Pair:
     return pair().run_until(ended)
 
 
-def test_every_frame_is_ours_to_its_vehicle_counts_on_and_is_recorded(flown: Pair) -> None:
+def test_it_ends_at_its_target_and_every_frame_is_ours_counts_on_and_is_recorded(
+    flown: Pair,
+) -> None:
+    assert flown.end.outcome is Outcome.ARRIVED
+    assert (flown.vehicle.north_m, flown.vehicle.east_m) == pytest.approx((4000, 3000), abs=1.0)
+    assert flown.vehicle.mode == BRAKE
+    assert flown.out.settled
     sent = messages(flown.frames)
     assert {(m.get_srcSystem(), m.get_srcComponent()) for m in sent} == {(1, 195)}
     assert {m.target_system for m in sent if hasattr(m, "target_system")} == {1}
@@ -55,6 +61,9 @@ def test_every_frame_is_ours_to_its_vehicle_counts_on_and_is_recorded(flown: Pai
     stamps = [time_s for time_s, _ in flown.record]
     assert stamps == sorted(stamps)
     assert len(flown.record) > len(flown.frames) + 100
+    answers_ms = [m.time_boot_ms for m in flown.sent(SETPOINT)]  # one to each position
+    assert len(answers_ms) > 300
+    assert np.diff(answers_ms).tolist() == [100] * (len(answers_ms) - 1)
 
 
 def test_it_says_each_vehicle_second_in_which_state_it_is_until_it_leaves(flown: Pair) -> None:
@@ -68,16 +77,6 @@ def test_it_says_each_vehicle_second_in_which_state_it_is_until_it_leaves(flown:
     assert list(dict.fromkeys(states)) == [wire.MAV_STATE_STANDBY, wire.MAV_STATE_ACTIVE]
     [last] = messages(flown.session.farewell().frames)
     assert (last.get_type(), last.system_status) == ("HEARTBEAT", wire.MAV_STATE_POWEROFF)
-
-
-def test_a_flight_ends_at_its_target_and_a_setpoint_answers_each_position(flown: Pair) -> None:
-    assert flown.end.outcome is Outcome.ARRIVED
-    assert (flown.vehicle.north_m, flown.vehicle.east_m) == pytest.approx((4000, 3000), abs=1.0)
-    assert flown.vehicle.mode == BRAKE
-    assert flown.out.settled
-    sent = [m.time_boot_ms for m in flown.sent(SETPOINT)]
-    assert len(sent) > 300
-    assert np.diff(sent).tolist() == [100] * (len(sent) - 1)
 
 
 # --- lockstep, and when a plan counts

@@ -281,9 +281,6 @@ def test_the_version_is_told_once_to_everybody_who_asks_for_it() -> None:
         assert read.flight_sw_version == 1 << 24 | 2 << 16 | 3 << 8 | 255
         assert read.capabilities == can
         assert kinds_sent(server, 2.0) == ["HEARTBEAT"]
-
-
-def test_versions_are_numbers_as_in_autopilot_version() -> None:
     versions = {"0.1.0": 0x000100FF, "1.2": 0x010200FF, "300.1.1": 0xFF0101FF, "unknown": 0, "": 0}
     versions |= dict.fromkeys(("3.4.5rc2", "3.4.5.dev7", "3.4.5+local"), 0x03040500)
     assert {version: version_number(version) for version in versions} == versions

@@ -40,7 +40,7 @@ class Standing:
         assert MISSION.known is not None
         self.poses, self.state = Poses(MISSION.frame), State.of(MISSION, MISSION.known)
         self.scanner = NearScanner(MISSION, self.poses)
-        self.now_s = 100.0
+        self.now_s, self.here_nea_m = 100.0, HERE_NEA_M
         self.run(sweeps, thing=thing)
 
     def tick(self, *messages: Any, thing: bool = True) -> Any:
@@ -52,7 +52,7 @@ class Standing:
     def move_on(self, by_s: float = PERIOD_S) -> Any:
         self.now_s += by_s
         self.poses.on_attitude(attitude(self.now_s))
-        self.poses.on_position(self.now_s, HERE_NEA_M)
+        self.poses.on_position(self.now_s, self.here_nea_m)
         return self.scanner.seen(self.now_s)
 
     def run(self, count: int, *, thing: bool = True) -> None:
@@ -60,7 +60,7 @@ class Standing:
             self.tick(thing=thing)
 
     def begin(self) -> None:
-        self.scanner.begun(HERE_NEA_M, self.state, self.now_s)
+        self.scanner.begun(self.here_nea_m, self.state, self.now_s)
 
     def done(self, *, takes: bool = True) -> ScanDone:
         """A scan that is over; takes: the mission puts it on its map."""
@@ -105,13 +105,16 @@ def test_a_later_scan_takes_back_what_is_not_free_any_more_and_frees_what_has_go
 
 
 def test_what_a_scan_told_that_nobody_took_is_told_again() -> None:
-    """As after a stop in the moment of a scan."""
+    """As after a stop in the moment of a scan; from where it is next, nothing of it is seen."""
     one, other = Standing(), Standing()
     for it in (one, other):
         it.scan(takes=it is one)
+        it.here_nea_m = (60.0, 20.0, 405.0)
+        it.move_on(1.0)
+        it.run(3)
         it.scan()
     np.testing.assert_array_equal(one.state.flight.known.upper_m, other.state.flight.known.upper_m)
-    assert np.isfinite(other.state.flight.known.upper_m).any()
+    assert other.upper_m(20.0) == GROUND_AMSL_M
 
 
 def test_a_scan_waits_for_a_new_sweep_and_no_longer_than_it_may_and_changes_nothing_then() -> None:

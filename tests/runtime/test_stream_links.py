@@ -3,9 +3,9 @@
 import contextlib
 import os
 import pty
+import select
 import socket
 import termios
-import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
@@ -55,11 +55,9 @@ class Server:
         self._peers: list[socket.socket] = []
 
     def answers(self, link: Link) -> int:
-        """The connection that the link makes; what it was sent meanwhile is nothing."""
-        thread = threading.Thread(target=lambda: self._peers.append(self.listener.accept()[0]))
-        thread.start()
-        while thread.is_alive():
-            assert link.receive(0.02) is None
+        """The connection that the link makes, once it calls and learns that it is answered."""
+        until(lambda: link.receive(0.02) is None and select.select([self.listener], (), (), 0)[0])
+        self._peers.append(self.listener.accept()[0])
         assert link.receive(0.02) is None
         self._peers[-1].settimeout(PATIENCE_S)
         return self._peers[-1].fileno()
