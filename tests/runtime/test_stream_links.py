@@ -299,18 +299,6 @@ def test_a_serial_port_is_opened_at_the_baud_rate_that_is_asked_for(terminal: Te
             assert termios.tcgetattr(terminal.far)[4:6] == [speed, speed]
 
 
-def in_the_middle(step: str, does: Callable[[], None], monkeypatch: pytest.MonkeyPatch) -> None:
-    """What happens while a port that is open already is set up: the next time, once."""
-    real = getattr(termios, step)
-
-    def meanwhile(*arguments: object) -> None:
-        monkeypatch.setattr(termios, step, real)
-        does()
-        real(*arguments)
-
-    monkeypatch.setattr(termios, step, meanwhile)
-
-
 @pytest.mark.usefixtures("at_once")
 @pytest.mark.parametrize("step", ["tcsetattr", "tcflush"])
 def test_a_device_that_vanishes_while_it_is_opened_again_is_opened_once_more(
@@ -320,11 +308,18 @@ def test_a_device_that_vanishes_while_it_is_opened_again_is_opened_once_more(
 
     Of a port that is gone what is done to it raises no OSError.
     """
+    really = getattr(termios, step)
+
+    def meanwhile(*arguments: object) -> None:
+        monkeypatch.setattr(termios, step, really)
+        terminal.goes()
+        really(*arguments)
+
     with open_link(terminal.name) as link:
         terminal.goes()
         assert link.receive(0.02) is None
         terminal.comes_back()
-        in_the_middle(step, terminal.goes, monkeypatch)
+        monkeypatch.setattr(termios, step, meanwhile)  # while it is set up, once
         assert link.receive(0.02) is None
         assert not terminal.path.exists()
         terminal.comes_back()
