@@ -4,7 +4,6 @@ import ctypes
 import json
 import math
 import os
-import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -219,7 +218,7 @@ def planner_is_killed(rig: Rig) -> str:
     def kill() -> None:
         rig.breaks_now()
         assert planner.process is not None
-        os.kill(planner.process.pid or 0, signal.SIGKILL)
+        planner.process.kill()
 
     rig.at(10, kill)
     return "its process has ended (SIGKILL)"
