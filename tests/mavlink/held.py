@@ -102,8 +102,10 @@ class Held:
 
     def deliver(self, frame: bytes, client: Client | None) -> None:
         """What the vehicle says on link 0."""
-        for message in self._receiver.feed(frame) if client is not None else ():
-            if client is not None and message is not None:
+        if client is None:
+            return
+        for message in self._receiver.feed(frame):
+            if message is not None:
                 self.heard.append(message)
                 self.say(client.on_message(message, self.now_s))
 
