@@ -6,12 +6,13 @@ from dataclasses import replace
 from functools import cache
 
 import pytest
-from made_up_plans import not_planned
 from pymavlink.dialects.v20 import all as wire
-from scripted_vehicle import BRAKE, LAND, MISSION, Pair, Vehicle, messages, pair
+from scripted_vehicle import BRAKE, LAND, MISSION, Pair, Vehicle, messages
 
+from companion.mission.events import Outcome
 from companion.mission.mission import EndAction
 from companion.mission.phases import Phase, Trigger
+from companion.mission.state import Reason
 from companion.session import Session
 
 PHASES = (Phase.WAITING, Phase.PREPARING, Phase.ARMING, Phase.TAKING_OFF, Phase.FLYING)
@@ -35,32 +36,37 @@ def flown_to(phase: Phase) -> Pair:
     return it if phase is Phase.WAITING else it.fly_to(phase)
 
 
-def must_be_said(it: Pair) -> None:
-    """The last text names the end, and went out with the very output that tells of it."""
-    last = texts(it.frames)[-1]
-    assert last.startswith(f"ended, {it.end.outcome.value}: {it.end.reason}"[:190])
-    assert texts(it.out.frames)[-1] == last
-    sent = len(it.frames)
-    it.session.complain("refused: 7 unsigned")
-    it.run_for(10.0).take(it.session.farewell())
-    assert texts(it.frames[sent:]) == []
-
-
-ENDS: dict[str, tuple[Trigger, Callable[[Session], object]]] = {
-    "a person": (Trigger.STOP, lambda it: it.stop()),
-    "a part": (Trigger.DIED, lambda it: it.part_died("reader", "OSError: made up")),
-    "silence": (Trigger.GIVE_UP, lambda it: it.silence(700.0)),
+ENDS: dict[str, tuple[Trigger, Callable[[Session], object], Outcome, str]] = {
+    "a person": (Trigger.STOP, lambda it: it.stop(), Outcome.STOPPED, Reason.STOPPED.text),
+    "a part": (
+        *(Trigger.DIED, lambda it: it.part_died("writer", "OSError: made up"), Outcome.FAILED),
+        f"{Reason.PLANNER_DIED.text}: writer: OSError: made up",
+    ),
+    "silence": (Trigger.GIVE_UP, lambda it: it.silence(700.0), Outcome.FAILED, ""),
 }
 
 
 @pytest.mark.parametrize("phase", PHASES)
 @pytest.mark.parametrize("end", ENDS)
 def test_whatever_ends_it_in_whatever_phase(end: str, phase: Phase) -> None:
-    it, (trigger, ends) = deepcopy(flown_to(phase)), ENDS[end]
+    """The last text names the end, and goes out with the very output that tells of it.
+
+    Led in the air it is left holding, and settled when it says so.
+    """
+    it, (trigger, ends, outcome, why) = deepcopy(flown_to(phase)), ENDS[end]
     assert phase in trigger.origins
     ends(it.session)
-    it.take(it.session.run())
-    must_be_said(it)
+    out = it.take(it.session.run())
+    assert (it.end.outcome, it.end.reason) == (outcome, why or it.end.reason)
+    assert ("part died" in it.kinds()) is (end == "a part")
+    last = texts(out.frames)[-1]
+    assert last.startswith(f"ended, {it.end.outcome.value}: {it.end.reason}"[:190])
+    count, is_led = len(it.frames), phase is Phase.FLYING and end != "silence"
+    it.session.complain("refused: 7 unsigned")
+    assert not (is_led and out.settled)
+    it.run_for(10.0).take(it.session.farewell())
+    assert texts(it.frames[count:]) == []
+    assert not is_led or (it.out.settled and it.vehicle.mode == BRAKE)
 
 
 @pytest.mark.parametrize("phase", [Phase.FLYING, Phase.LANDING])
@@ -79,21 +85,3 @@ def test_who_lands_it_in_the_moment_of_the_end_is_not_overruled(phase: Phase) ->
     told = [m for m in it.run_for(4.0).since(count) if m.get_type() == "COMMAND_LONG"]
     holds = [m for m in told if (m.command, m.param2) == (wire.MAV_CMD_DO_SET_MODE, BRAKE)]
     assert bool(holds) == (phase is Phase.LANDING)
-
-
-@pytest.mark.parametrize(
-    ("returns", "said"),
-    [
-        (False, "failed: landed: no safe subpath was found: it broke floor"),
-        (True, "stopped: landed: told to return"),
-    ],
-)
-def test_an_end_is_said_with_its_outcome_and_its_reason(returns: bool, said: str) -> None:
-    """There is no plan; or no way back, when it is told to return."""
-    it = pair().fly_out() if returns else pair()
-    it.planner = not_planned
-    if returns:
-        it.ask(wire.MAV_CMD_NAV_RETURN_TO_LAUNCH)
-    it.run_until(lambda it: it.out.end is not None)
-    assert texts(it.frames)[-1] == f"ended, {said}"
-    must_be_said(it)

@@ -1,17 +1,13 @@
-"""A simulated vehicle with a client of the companion on one link, or with all of it: `Faced`."""
+"""A simulated vehicle with a client of the companion on one link."""
 
 from collections.abc import Callable, Iterator
 from typing import Any, Literal, Protocol
 
 from recordings import recording
-from scripted_vehicle import straight_plan
 from tlog import recorded_frames
 
 from companion.mavlink.dialect import codec, wire
 from companion.mavlink.frames import IGNORED_MESSAGES, Receiver, number_of
-from companion.mavlink.link import Output
-from companion.mission.mission import Mission
-from companion.session import Session
 from vehicle_sim.plans import PlanItem as Stored
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import World, flat_world
@@ -56,8 +52,15 @@ class Client(Protocol):
 class Held:
     """The vehicle, and what was sent to it."""
 
-    def __init__(self, firmware: Firmware, kind: Kind = "copter", faults: str = "") -> None:
-        self.simulation = Simulation(level(firmware, kind), seed=1, links=2, faults=faults)
+    def __init__(
+        self,
+        firmware: Firmware,
+        kind: Kind = "copter",
+        faults: str = "",
+        world: World | None = None,
+    ) -> None:
+        world = world or level(firmware, kind)
+        self.simulation = Simulation(world, seed=1, links=2, faults=faults)
         self.sent: list[tuple[float, Any]] = []
         self.heard: list[Any] = []
         """What the client has heard."""
@@ -94,11 +97,17 @@ class Held:
             for link, frame in frames:
                 if link == 1:
                     self.others.append(frame)
-                elif client is not None:
-                    for message in self._receiver.feed(frame):
-                        if message is not None:
-                            self.heard.append(message)
-                            self.say(client.on_message(message, self.now_s))
+                else:
+                    self.deliver(frame, client)
+
+    def deliver(self, frame: bytes, client: Client | None) -> None:
+        """What the vehicle says on link 0."""
+        if client is None:
+            return
+        for message in self._receiver.feed(frame):
+            if message is not None:
+                self.heard.append(message)
+                self.say(client.on_message(message, self.now_s))
 
     def say(self, messages: list[Any]) -> None:
         for message in messages:
@@ -109,9 +118,7 @@ class Held:
         """A ground station (255/190) says this."""
         self.simulation.receive(link, message.pack(self._theirs))
 
-    def upload(
-        self, kind: int, items: list[Stored], client: Client | None = None, pause_s: float = 0.0
-    ) -> None:
+    def upload(self, kind: int, items: list[Stored], client: Client | None = None) -> None:
         """By the ground station on link 1, over the protocol; it must be taken."""
         self.others.clear()
         self.other(wire.MAVLink_mission_count_message(1, 1, len(items), kind))
@@ -119,8 +126,6 @@ class Held:
             self.run(0.01, client)
             if self._answer(kind, items):
                 return
-            if pause_s and self.others:
-                self.run(pause_s, client)
         raise AssertionError("the upload did not end")
 
     def _answer(self, kind: int, items: list[Stored]) -> bool:
@@ -136,61 +141,6 @@ class Held:
                 return True
             self.other(item_message(items[message.seq], message.seq, kind))
         return False
-
-
-class Faced:
-    """A whole session and a simulated vehicle at the two ends of a link; both ways are frames."""
-
-    def __init__(
-        self, mission: Mission, vehicle: Simulation, *, link: int = 0, **keywords: Any
-    ) -> None:
-        self.mission, self.vehicle, self.link = mission, vehicle, link
-        self.session = Session(mission, seed=1, lockstep=False, go=True, **keywords)
-        self.out = Output()
-        self.end: Any = None
-        self.heard: list[bytes] = []
-        self.sent: list[bytes] = []
-        self.recorded: list[bytes] = []
-        self.loses: tuple[int, ...] = ()
-        """Messages that are lost on the way."""
-
-    @property
-    def now_s(self) -> float:
-        return self.vehicle.now_us * 1e-6
-
-    def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> Any:
-        end_s = self.now_s + seconds
-        while self.now_s < end_s and not until():
-            self.vehicle.step()
-            while frames := self.vehicle.take_frames():
-                for link, frame in frames:
-                    if link == self.link and number_of(frame) not in self.loses:
-                        self.heard.append(frame)
-                        self.session.receive(frame, self.now_s)
-                self.answer()
-        return self
-
-    def answer(self) -> None:
-        """What the session has to say is said; a plan is there as soon as it is asked for."""
-        out = self.out = self.session.run()
-        self.end = self.end or out.end
-        self.sent += out.frames
-        self.recorded += [frame for _, frame in out.record]
-        for frame in out.frames:
-            self.vehicle.receive(self.link, frame)
-        if out.plan is not None:
-            self.session.deliver(straight_plan(out.plan))
-
-    def hear(self, frame: bytes) -> None:
-        """The companion hears something that the vehicle has not said."""
-        self.session.receive(frame, self.now_s)
-        self.answer()
-
-    def station(self, message: Any, link: int = 1) -> None:
-        """A ground station (255/190) says this to the vehicle."""
-        self.vehicle.receive(
-            link, message.pack(wire.MAVLink(None, srcSystem=255, srcComponent=190))
-        )
 
 
 _OF_UPLOADS = (

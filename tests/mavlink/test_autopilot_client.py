@@ -12,7 +12,6 @@ from companion.mavlink import autopilots, rules
 from companion.mavlink.autopilot_client import AutopilotClient
 from companion.mavlink.autopilots import ARDUCOPTER, PX4_MULTICOPTER, Autopilot, px4
 from companion.mavlink.autopilots.common import Modes
-from companion.mavlink.autopilots.messages import To, command_long
 from companion.mavlink.dialect import EventMessage, codec, wire
 from companion.mavlink.frames import Receiver
 from companion.mavlink.rules import Rule
@@ -28,14 +27,11 @@ from companion.mission.events import (
     Item,
     Mode,
     Prepared,
-    SetMode,
-    Setpoint,
     SetSpeed,
     TakeOffTaken,
 )
 from companion.mission.mission import Mission
 from companion.mission.state import State
-from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
 from vehicle_sim.plans import PlanItem as Stored
 
 FENCE = 1
@@ -115,7 +111,7 @@ def test_plans_are_not_done_before_a_fence_about_home_is_drawn() -> None:
     assert "fence about home (radius 60 m)" in told[0].refusal
 
 
-def test_the_fence_that_is_known_stays_in_force_while_it_is_read_again_after_a_reboot() -> None:
+def test_the_fence_that_is_known_stays_in_force_while_it_is_read_anew() -> None:
 
     def zones(side: Side) -> list[int]:
         return [len(event.zones) for event in side.told(FenceChanged)]
@@ -196,9 +192,7 @@ def test_who_keeps_setting_a_parameter_back_is_said_once_and_not_fought_for_ever
     assert 2 <= len([each for each in sets if each.param_id == "COM_OBL_RC_ACT"]) <= 6
 
 
-def test_what_could_not_be_set_is_refused_with_what_became_of_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_could_not_be_set_is_refused_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     side = Side("px4", sets=True)
     side.held.simulation.set_parameter("COM_OBL_RC_ACT", 0.0)
     say = side.held.say
@@ -275,7 +269,7 @@ def test_a_plane_is_told_its_speed_until_it_answers_or_somebody_else_flies_it() 
         assert side.notes == notes
 
 
-def test_it_is_armed_and_disarmed_without_force() -> None:
+def test_it_is_armed_and_disarmed_without_force_and_a_take_off_is_taken_once_accepted() -> None:
     side = AutopilotClient(WATCHING, 7, PX4_MULTICOPTER)
     state = State.of(WATCHING.mission, checkpoint.blank_map(WATCHING.mission))
     for command, value in ((Arm(), 1.0), (Disarm(), 0.0)):
@@ -283,13 +277,9 @@ def test_it_is_armed_and_disarmed_without_force() -> None:
         sent = over_the_wire(message)
         assert (sent.command, sent.target_system, sent.target_component) == (400, 7, 1)
         assert [getattr(sent, f"param{n}") for n in range(1, 8)] == [value] + [0.0] * 6
-
-
-def test_a_take_off_is_taken_once_it_is_accepted() -> None:
-    side = plane_told_its_speed()[0]
-    for command in (wire.MAV_CMD_NAV_TAKEOFF, wire.MAV_CMD_COMPONENT_ARM_DISARM):
-        told = [side.event_of(ack(command, result), 3.0) for result in range(6)]
-        taken = TakeOffTaken(time_s=3.0) if command == wire.MAV_CMD_NAV_TAKEOFF else None
+    for number in (wire.MAV_CMD_NAV_TAKEOFF, wire.MAV_CMD_COMPONENT_ARM_DISARM):
+        told = [side.event_of(ack(number, result), 3.0) for result in range(6)]
+        taken = TakeOffTaken(time_s=3.0) if number == wire.MAV_CMD_NAV_TAKEOFF else None
         assert told == [taken, *[None] * 5]  # MAV_RESULT_ACCEPTED is 0
 
 
@@ -302,34 +292,20 @@ def test_how_the_vehicles_own_mission_ends_is_not_passed_over_in_silence() -> No
     assert said == ["its mission ends with return; what counts is end.action: land"]
 
 
-def half_empty(_message: Any, now_s: float, *_: Any) -> Battery:
-    return Battery(time_s=now_s, remaining=0.5)
-
-
-def told_to_slow_down(setpoint: Setpoint, to: To, _loiter_radius_m: float) -> list[Any]:
-    return [command_long(to.system_id, 31_010, *setpoint.velocity_nea_m_s)]
-
-
-SETPOINT = Setpoint(
-    time_s=1.0, position_nea_m=(0.0, 0.0, 500.0), velocity_nea_m_s=(3.0, 0.0, 0.0), yaw_rad=0.0
-)
-FIFTH = Autopilot(
+FIFTH = replace(
+    PX4_MULTICOPTER,
     firmware=replace(px4.FIRMWARE, name="fifth", number=wire.MAV_AUTOPILOT_SMACCMPILOT),
-    traits=VehicleTraits(name="Fifth", kind="copter", take_off=TakeoffSequence.MODE_THEN_ARM),
+    traits=replace(PX4_MULTICOPTER.traits, name="Fifth"),
     rules=(Rule("FIFTH_RATE", rules.brakes, "how it brakes"),),
-    parameters_for=lambda _: {},
     modes=Modes(asked={Mode.GUIDED: (77,)}, names={(77,): "LED"}),
     streams_hz={wire.MAVLINK_MSG_ID_ALTITUDE: 5.0},
-    intermittent=frozenset(),
-    decoders={wire.MAVLINK_MSG_ID_ALTITUDE: half_empty},
-    take_off=lambda *_: [],
-    setpoint=told_to_slow_down,
+    decoders={
+        wire.MAVLINK_MSG_ID_ALTITUDE: lambda _, now_s, *__: Battery(time_s=now_s, remaining=0.5)
+    },
 )
 
 
-def test_a_fifth_autopilot_is_one_value_that_nothing_else_has_to_know_of(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_fifth_autopilot_is_one_value(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(autopilots, "ALL", (*autopilots.ALL, FIFTH))
     of = wire.MAV_TYPE_QUADROTOR, wire.MAV_AUTOPILOT_SMACCMPILOT, 129, 77, 4, 3
     heartbeat = over_the_wire(wire.MAVLink_heartbeat_message(*of))
@@ -341,9 +317,5 @@ def test_a_fifth_autopilot_is_one_value_that_nothing_else_has_to_know_of(
     altitude = over_the_wire(wire.MAVLink_altitude_message(0, *[0.0] * 6))
     assert side.event_of(altitude, 2.0) == Battery(time_s=2.0, remaining=0.5)
     assert side.parameters.waiting == ("FIFTH_RATE",)
-    asked = [over_the_wire(each) for each in side.streams.begin(0.0)]
-    assert wire.MAVLINK_MSG_ID_ALTITUDE in [each.param1 for each in asked]
-    [mode] = side.autopilot.set_mode(SetMode(mode=Mode.GUIDED), side.to)
-    assert (mode.command, mode.param2) == (wire.MAV_CMD_DO_SET_MODE, 77)
-    [slower] = FIFTH.setpoint(SETPOINT, side.to, 0.0) or []
-    assert (slower.command, slower.param1) == (31_010, 3.0)
+    asked = [over_the_wire(each).param1 for each in side.streams.begin(0.0)]
+    assert wire.MAVLINK_MSG_ID_ALTITUDE in asked

@@ -70,12 +70,6 @@ def test_what_there_is_is_read_and_set_and_read_back(way: Any, fault: str, withi
         assert {name: values[name] for name in SETS[way[0]]} == pytest.approx(SETS[way[0]])
 
 
-SETS = {
-    "ardupilot": {"FENCE_TYPE": 3.0, "FENCE_RADIUS": 212.5},
-    "px4": {"COM_OBL_RC_ACT": 5.0, "COM_OF_LOSS_T": 0.7, "COM_RCL_EXCEPT": -1.0},
-}
-
-
 KEPT_OTHERWISE = (
     ("NAV_GPSF_LT", 9000.0, "it was told 9000 and says 3600"),
     ("COM_OBL_RC_ACT", 5e12, "5e+12 does not fit into its type"),

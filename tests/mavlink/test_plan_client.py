@@ -76,25 +76,6 @@ def test_a_change_is_known_in_time(way: Any, waited_s: float) -> None:
     assert client.plans[FENCE].version == 4
 
 
-@pytest.mark.sample(2)  # of both firmwares
-@ALL_FOUR
-def test_a_list_that_is_being_uploaded_is_never_seen_half(way: Any) -> None:
-    """Uploads in a row, of which ArduPilot denies all others any part while they last."""
-    held, client = Held(*way), PlanClient(1)
-    versions = [polygon(12, size_m=100.0 + 10.0 * k) for k in range(4)]
-    held.upload(FENCE, versions[0])
-    held.simulation.add_fault("link_loss 10 % on link 0")
-    held.run(20.0, client, lambda: client.is_done)
-    seen = set[int]()
-    for number, fence in enumerate(versions[1:], start=1):
-        held.upload(FENCE, fence, client, pause_s=0.2)
-        for _ in range(40):
-            held.run(0.2, client)
-            seen.add([placed(each) for each in versions[: number + 1]].index(known(client)))
-        assert known(client) == placed(fence)
-    assert len(seen) >= 3
-
-
 @BOTH
 def test_looks_leave_the_autopilot_idle_for_the_others(firmware: Firmware) -> None:
     """A ground station on the same link may upload right after each of our looks."""
@@ -168,9 +149,7 @@ def test_the_transfers_of_others_are_none_of_ours() -> None:
     ("result", "is_done"),
     [(wire.MAV_MISSION_UNSUPPORTED, True), (wire.MAV_MISSION_DENIED, False)],
 )
-def test_what_is_not_supported_is_done_and_denied_is_asked_again(
-    result: int, is_done: bool
-) -> None:
+def test_what_is_not_supported_is_done_and_denied_asked_again(result: int, is_done: bool) -> None:
     """Denied: somebody else is uploading."""
     client = begun()
     refused = over_the_wire(wire.MAVLink_mission_ack_message(*OURS, result, FENCE))
@@ -187,18 +166,8 @@ def test_what_is_not_supported_is_done_and_denied_is_asked_again(
     assert client.plans[FENCE].supported
 
 
-def test_the_same_items_are_no_change_also_where_a_parameter_is_no_number() -> None:
-    client = begun()
-    for round_s in (0.0, 40.0, 80.0):
-        client.on_time(round_s)
-        for kind in KINDS:
-            for message in (count(1, kind), item(0, kind)):
-                client.on_message(message, round_s + 0.1)
-    assert client.plans[FENCE].version == 1
-
-
 def test_a_list_that_was_read_with_gaps_counts_when_it_is_read_twice_the_same() -> None:
-    """In a gap somebody may have replaced it: half old, half new; the first is better than none."""
+    """In a gap somebody may have replaced it: half old, half new is never seen; but at first."""
     client, known = begun(), []
     for at_s, radius in ((0.1, 50.0), (2.0, 51.0), (4.0, 52.0), (6.0, 52.0)):
         client.on_message(count(1), at_s)
@@ -208,6 +177,8 @@ def test_a_list_that_was_read_with_gaps_counts_when_it_is_read_twice_the_same() 
         for kind in (RALLY, MISSION):
             client.on_message(count(0, kind), at_s + 0.6)
     assert known == [[50.0], [50.0], [50.0], [52.0]]
+    assert math.isnan(client.plans[FENCE].items[0].parameters[3])  # which does not make it another
+    assert client.plans[FENCE].version == 2
 
 
 def test_a_fence_that_is_empty_right_after_a_reboot_counts_when_it_is_still_empty_later() -> None:

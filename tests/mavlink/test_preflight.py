@@ -7,20 +7,22 @@ from typing import Any
 
 import numpy as np
 import pytest
-from held import FOUR, Faced, level
+from held import FOUR, Held, level, place_e7
 from random_programs import message_numbers
 from renewed import replace
+from scripted_vehicle import straight_plan
 
 from companion.config import load_mission
 from companion.mavlink.dialect import codec, wire
+from companion.mavlink.frames import number_of
 from companion.mavlink.preflight import Check, CheckStatus, checks_of, waiting_for
 from companion.mavlink.signing import Signing
 from companion.mission.events import Outcome
-from companion.mission.state import Phase
+from companion.mission.state import Phase, Reason
 from companion.session import Session
 from companion.world.known_map import empty_map
 from companion.world.near_map import NearSensor
-from vehicle_sim.simulation import Simulation
+from vehicle_sim.plans import PlanItem as Stored
 
 NAMES = dict(
     zip(("sitl-arducopter", "sitl-arduplane", "sitl-px4", "sitl-px4-plane"), FOUR, strict=True)
@@ -29,8 +31,8 @@ COPTER, PX4, PX4_PLANE = "sitl-arducopter", "sitl-px4", "sitl-px4-plane"
 KEY = bytes(range(32))
 
 
-class Pair(Faced):
-    """A session and a vehicle, and what the checks say."""
+class Pair(Held):
+    """A whole session and a simulated vehicle at the two ends of a link, and what checks say."""
 
     def __init__(
         self,
@@ -39,16 +41,35 @@ class Pair(Faced):
         faults: str = "",
         parameters: dict[str, float] | None = None,
         shadow: bool = True,
-        signing: Signing | None = None,
+        has_key: bool = False,
         **changes: Any,
     ) -> None:
-        mission = load_mission(name)
+        mission = replace(load_mission(name), **changes)
         where = mission.frame.latitude_deg, mission.frame.longitude_deg
         world = level(*NAMES[name], (*where, 488.0 if "px4" in name else 584.0))
         vehicle = world.vehicle.model_copy(update={"parameters": parameters or {}})
         world = world.model_copy(update={"vehicle": vehicle})
-        simulated = Simulation(world, seed=1, links=2, faults=faults)
-        super().__init__(replace(mission, **changes), simulated, shadow=shadow, signing=signing)
+        key = Signing(key=KEY, timestamp=10**13) if has_key else None
+        self.session = Session(mission, seed=1, lockstep=False, go=True, shadow=shadow, signing=key)
+        self.end: Any = None
+        self.frames: list[bytes] = []
+        """Sent to the vehicle."""
+        self.loses: tuple[int, ...] = ()
+        """Messages that are lost on the way to the companion."""
+        super().__init__(*NAMES[name], faults, world)
+
+    def deliver(self, frame: bytes, _client: object = None) -> None:
+        """A plan is there as soon as it is asked for."""
+        if number_of(frame) in self.loses:
+            return
+        self.session.receive(frame, self.now_s)
+        out = self.session.run()
+        self.end = self.end or out.end
+        self.frames += out.frames
+        for each in out.frames:
+            self.simulation.receive(0, each)
+        if out.plan is not None:
+            self.session.deliver(straight_plan(out.plan))
 
     def looked_at(self, seconds: float = 60.0) -> "Pair":
         """As `companion preflight` does it, without its waits."""
@@ -90,18 +111,8 @@ def looked() -> Pair:
     sweep = wire.MAVLink_obstacle_distance_message(0, 0, [500] * 72, 5, 20, 1600)
     heights = wire.MAVLink_terrain_data_message(0, 0, 100, 0, [0] * 16)
     for message, ids in ((sweep, (1, 191)), (heights, (2, 101))):
-        it.hear(message.pack(wire.MAVLink(None, srcSystem=ids[0], srcComponent=ids[1])))
+        it.deliver(message.pack(wire.MAVLink(None, srcSystem=ids[0], srcComponent=ids[1])))
     return it
-
-
-def test_a_vehicle_that_may_fly_passes_and_each_line_names_what(good: Pair) -> None:
-    assert good.refused == []
-    passed = "vehicle, messages, fence, targets, position, take-off, place, battery"
-    assert {good.status(name) for name in passed.split(", ")} == {"ok"}
-    assert good.status("radar") == "note"
-    for check in checks_of(good.session):
-        line = f"{check.name}: {check.what}. {check.remedy}"
-        assert re.fullmatch(r"[^\n:]+: [^\n]+[^.]\. ([A-Z][^\n]*\.)?", line), line
 
 
 REQUESTS = {wire.MAV_CMD_SET_MESSAGE_INTERVAL, wire.MAV_CMD_REQUEST_MESSAGE}
@@ -109,11 +120,20 @@ ASKS = "HEARTBEAT TIMESYNC PARAM_REQUEST_READ MISSION_REQUEST_LIST MISSION_REQUE
 ASKS += " TERRAIN_REQUEST STATUSTEXT COMMAND_LONG"
 
 
-def test_it_only_asks(good: Pair) -> None:
-    sent = codec(1).parse_buffer(b"".join(good.sent))
+def test_a_vehicle_that_may_fly_is_only_asked_and_passes_and_each_line_names_what(
+    good: Pair,
+) -> None:
+    sent = codec(1).parse_buffer(b"".join(good.frames))
     assert {"PARAM_REQUEST_READ"} < {m.get_type() for m in sent} <= set(ASKS.split())
     assert {m.command for m in sent if m.get_type() == "COMMAND_LONG"} <= REQUESTS
     assert good.session.state.vehicle.armed is False
+    assert good.refused == []
+    passed = "vehicle, companion, messages, fence, targets, position, take-off, place, battery"
+    assert {good.status(name) for name in passed.split(", ")} == {"ok"}
+    assert good.status("radar") == "note"
+    for check in checks_of(good.session):
+        line = f"{check.name}: {check.what}. {check.remedy}"
+        assert re.fullmatch(r"[^\n:]+: [^\n]+[^.]\. ([A-Z][^\n]*\.)?", line), line
 
 
 def beat(system: int, component: int, kind: int = 2, autopilot: int = 12) -> bytes:
@@ -150,24 +170,10 @@ def test_a_vehicle_that_falls_silent_or_does_not_sign_may_not_fly() -> None:
         it.session.silence(float(silent_s))
     assert it.refused
     assert "fell silent" in it.words("link")
-    unsigned = Pair(signing=Signing(key=KEY, timestamp=10**13))
+    unsigned = Pair(has_key=True)
     unsigned.run(10.0)
     assert unsigned.refused == ["vehicle"]
     assert "not signed with this key. Set the same key up" in unsigned.words("vehicle")
-
-
-def test_a_fence_that_is_not_told_yet_says_what_it_waits_for(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    it = Pair().looked_at()
-    assert it.session.vehicle is not None
-    monkeypatch.setattr(it.session.vehicle.own_fence, "fence", None)
-    assert it.refused == ["fence"]
-    assert it.words("fence") == "it is being read. Wait for it."
-    state = it.session.state
-    homeless = replace(state, vehicle=replace(state.vehicle, home_nea_m=None))
-    monkeypatch.setattr(it.session, "state", homeless)
-    assert it.words("fence") == "it is drawn about home, which is not known. Wait for it."
 
 
 HIGH = (0.0, 0.0, 700.0)
@@ -181,39 +187,70 @@ LEVEL, HIGHER = (
 """Where the vehicle stands at 488 m: the second has another datum."""
 
 
+NEAR_AT, FAR_AT = {"mission.near": NEAR}, {"mission.task.settings.scan_range_m": 16.0}
+
+
+def sees(least_m: float, most_m: float) -> dict[str, Any]:
+    """A lidar with these limits where R is 16 m."""
+    sensing = SimpleNamespace(limits_m=(least_m, most_m))
+    return NEAR_AT | FAR_AT | {"near": SimpleNamespace(sensing=sensing)}
+
+
 @pytest.mark.parametrize(
-    "case",
+    ("changes", "check", "status", "words"),
     [
-        ("vehicle", {"position_nea_m": (5000.0, 0.0, 488.0)}, "place", "refused", ""),
-        ("vehicle", {"position_nea_m": HIGH, "home_nea_m": HIGH}, "take-off", "refused", "floor"),
-        ("vehicle", {"armed": True}, "armed", "refused", "somebody else"),
-        ("vehicle", {"battery": 0.9}, "battery", "ok", "endurance_s is not given"),
-        ("vehicle", {"battery": 0.1}, "battery", "refused", "endurance_s is not given"),
-        ("vehicle", {"battery": None}, "battery", "note", ""),
-        ("mission", {"endurance_s": 1200.0}, "battery", "ok", ""),
-        ("mission", {"endurance_s": 60.0}, "battery", "refused", ""),
-        ("mission", {"known": HIGHER}, "datum", "refused", ""),
-        ("mission", {"known": LEVEL}, "datum", "ok", ""),
-        ("mission", {"near": NEAR}, "sensor", "refused", "component 191 of system 1"),
-        ("mission", {"scanner_component_id": 77}, "radar", "refused", "component 101 of system 2."),
-        ("session", {"rangefinder": DEAF}, "rangefinder", "refused", "component 1: not heard"),
+        ({"state.vehicle.position_nea_m": (5000.0, 0.0, 488.0)}, "place", "refused", ""),
+        (
+            {"state.vehicle.position_nea_m": HIGH, "state.vehicle.home_nea_m": HIGH},
+            *("take-off", "refused", "floor"),
+        ),
+        ({"state.vehicle.armed": True}, "armed", "refused", "somebody else"),
+        ({"state.vehicle.battery": 0.9}, "battery", "ok", "endurance_s is not given"),
+        ({"state.vehicle.battery": 0.1}, "battery", "refused", "endurance_s is not given"),
+        ({"state.vehicle.battery": None}, "battery", "note", ""),
+        ({"mission.endurance_s": 1200.0}, "battery", "ok", ""),
+        ({"mission.endurance_s": 60.0}, "battery", "refused", ""),
+        ({"mission.known": HIGHER}, "datum", "refused", ""),
+        ({"mission.known": LEVEL}, "datum", "ok", ""),
+        (NEAR_AT, "sensor", "refused", "component 191 of system 1"),
+        (sees(0.0, math.inf), "sensor range", "note", "R = 16 m is believed"),
+        (sees(0.2, 15.99), "sensor range", "ok", ""),  # 1599 cm: a driver has cut it off
+        (sees(0.2, 12.0), "sensor range", "refused", "Set planner.scan_range_m to 12 or less"),
+        (sees(0.7, 40.0), "sensor range", "note", "Raise scanner.blind_m to 0.7"),
+        ({"mission.scanner_component_id": 77}, "radar", "refused", "component 101 of system 2."),
+        ({"rangefinder": DEAF}, "rangefinder", "refused", "component 1: not heard"),
+        ({"state.duplicate_id": True}, "companion", "refused", f"1/195: {Reason.NOT_ALONE.text}"),
+        ({"vehicle.own_fence.fence": None}, "fence", "refused", "it is being read. Wait for it."),
+        (
+            {"vehicle.own_fence.fence": None, "state.vehicle.home_nea_m": None},
+            *("fence", "refused", "it is drawn about home, which is not known. Wait for it."),
+        ),
     ],
 )
-def test_what_is_seen(looked: Pair, monkeypatch: pytest.MonkeyPatch, case: Any) -> None:
-    part, changes, check, status, words = case
-    session = looked.session
-    state = session.state
-    for name, value in changes.items() if part == "session" else ():
-        monkeypatch.setattr(session, name, value)
-    if part == "mission":
-        monkeypatch.setattr(session, part, replace(session.mission, **changes))
-    elif part == "vehicle":
-        monkeypatch.setattr(
-            session, "state", replace(state, vehicle=replace(state.vehicle, **changes))
-        )
-    monkeypatch.setattr(session, "last_scan", None)
+def test_what_is_seen(
+    looked: Pair, monkeypatch: pytest.MonkeyPatch, changes: Any, check: str, status: str, words: str
+) -> None:
+    """changes: what of the session is another, however deep."""
+    for path, value in changes.items():
+        put(monkeypatch, looked.session, path, value)
+    monkeypatch.setattr(looked.session, "last_scan", None)
     assert looked.status(check) == status
     assert words in looked.words(check)
+
+
+def put(monkeypatch: pytest.MonkeyPatch, of: Any, path: str, value: Any) -> None:
+    """Give a thing that is changed in place, or copies of the values in it, another field."""
+    name, _, rest = path.partition(".")
+    there = getattr(of, name)
+    if rest and name in ("vehicle", "own_fence"):
+        put(monkeypatch, there, rest, value)
+    else:
+        monkeypatch.setattr(of, name, changed(there, rest, value) if rest else value)
+
+
+def changed(value: Any, path: str, to: Any) -> Any:
+    name, _, rest = path.partition(".")
+    return replace(value, **{name: changed(getattr(value, name), rest, to) if rest else to})
 
 
 def says(check: str, status: str, words: str = "", change: Any = None, **keywords: Any) -> Any:
@@ -231,22 +268,16 @@ def hides(kinds: str) -> Any:
 
 def draws(*items: tuple[int, float, float, float], kind: int = 1) -> Any:
     """By a ground station: command, parameter, north and east in metres."""
-
-    def upload(it: Pair) -> None:
-        it.station(wire.MAVLink_mission_count_message(1, 1, len(items), kind))
-        for seq, (command, value, north_m, east_m) in enumerate(items):
-            it.run(0.3)
-            latitude, longitude = it.mission.frame.to_geodetic_deg(north_m, east_m)
-            place = (round(latitude * 1e7), round(longitude * 1e7), 20.0)
-            numbers = (seq, 3, command, 0, 1, value, 0.0, 0.0, 0.0, *place, kind)
-            it.station(wire.MAVLink_mission_item_int_message(1, 1, *numbers))
-        it.run(0.5)
-
-    return upload
+    stored = []
+    for command, value, north_m, east_m in items:
+        x, y = place_e7(north_m, east_m)
+        numbers = (value, 0.0, 0.0, 0.0)
+        stored.append(Stored(frame=3, command=command, parameters=numbers, x=x, y=y, z_m=20.0))
+    return lambda it: it.upload(kind, stored)
 
 
 def signs(it: Pair) -> None:
-    it.station(wire.MAVLink_setup_signing_message(1, 1, list(KEY), 10**13))
+    it.other(wire.MAVLink_setup_signing_message(1, 1, list(KEY), 10**13))
 
 
 UNSAFE = {"COM_OBL_RC_ACT": 0.0}
@@ -277,6 +308,7 @@ SETUPS = {
     "targets of its own": says("targets", "ok", "2 targets", WAYPOINTS, **THEIRS),
     "battery too short": refuses("battery", endurance_s=30.0),
     "no radar": refuses("radar", "component 77", scanner_component_id=77),
+    "signed, with its key": says("vehicle", "ok", "", signs, name=COPTER, has_key=True),
     "signed, and no key": refuses("signing", "--signing-key", signs, name=COPTER),
 }
 

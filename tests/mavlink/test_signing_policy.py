@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.mavlink.dialect import codec, wire
+from companion.mavlink.link import FrameEncoder
 from companion.mavlink.signing import (
     SECRETS,
     TICKS_PER_S,
@@ -63,9 +64,7 @@ def test_keys_are_of_32_bytes_and_never_shown() -> None:
 
 
 @given(st.lists(st.floats(-1e6, 1e6) | st.just(math.nan) | st.just("frame"), max_size=30))
-def test_our_time_stamps_rise_whatever_the_clock_does(
-    happenings: list[float | str],
-) -> None:
+def test_our_time_stamps_rise_whatever_the_clock_does(happenings: list[float | str]) -> None:
     signing = ours()
     for at_s in (1000.0, 1060.0):
         signing.on_time(at_s)
@@ -103,7 +102,18 @@ def test_a_frame_that_was_kept_is_signed_as_pymavlink_would_sign_it_now() -> Non
     assert keeper.sign(first_protocol) == first_protocol  # it has no signatures
 
 
-def test_signed_frames_of_any_component_are_believed_each_once() -> None:
+def test_what_is_kept_in_reserve_is_believed_whenever_and_however_often_it_is_sent() -> None:
+    """The stream goes on meanwhile, and each copy would be a replay of the one before."""
+    encoder, vehicle = FrameEncoder(1, ours()), ours()
+    reserve = encoder.encode_unsent([BEAT])
+    encoder.send([BEAT] * 3, 5.0)
+    sent = [*encoder.out.frames, *encoder.signed(reserve), *encoder.signed(reserve)]
+    assert all(map(vehicle.accepts, sent))
+    assert encoder.out.record == [(5.0, strip_signature(frame)) for frame in encoder.out.frames]
+    assert FrameEncoder(1, None).signed(reserve) == reserve
+
+
+def test_signed_frames_are_believed_each_once_by_streams_of_link_system_and_component() -> None:
     signing = ours()
     streams = ({}, {"srcComponent": 197}, {"srcSystem": 255, "srcComponent": 190, "link": 7})
     speakers = [Speaker(**ids) for ids in streams]
@@ -114,7 +124,12 @@ def test_signed_frames_of_any_component_are_believed_each_once() -> None:
     assert signing.accepts(third)
     for old in (first, second, third, Speaker(NOW - 5).frame()):  # the last: it begins again lower
         assert not signing.accepts(old)
+    for other in ({"link": 1}, {"srcSystem": 2}, {"srcComponent": 2}):
+        assert signing.accepts(Speaker(NOW, **other).frame())
     assert signing.refused == 4
+    for k in range(300):  # memory is bounded: 256 of them
+        signing.accepts(Speaker(NOW, link=k % 256, srcSystem=3 + k // 256).frame())
+    assert signing.refused == 4 + 300 - (256 - 6)
 
 
 RADIO = wire.MAVLink_radio_status_message(100, 100, 50, 10, 10, 0, 0)
@@ -160,16 +175,6 @@ def test_a_clock_ahead_of_ours_is_believed_and_followed() -> None:
     assert signing.accepts(vehicle.frame())
     sent = signing.sign(BEAT.pack(codec(1)))
     assert vehicle.mav.check_signature(bytearray(sent), 1, 195)
-
-
-def test_streams_are_kept_apart_by_link_system_and_component_256_of_them() -> None:
-    signing = ours()
-    assert signing.accepts(Speaker(NOW + 1000).frame())
-    for other in ({"link": 1}, {"srcSystem": 2}, {"srcComponent": 2}):
-        assert signing.accepts(Speaker(NOW, **other).frame())
-    for k in range(300):  # memory is bounded
-        signing.accepts(Speaker(NOW, link=k % 256, srcSystem=3 + k // 256).frame())
-    assert signing.refused == 300 + 4 - 256
 
 
 def test_refusals_are_told_once_a_minute_and_only_if_there_are_new_ones() -> None:

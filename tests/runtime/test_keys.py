@@ -31,25 +31,27 @@ def frames_are_believed(path: Path, key: bytes) -> bool:
 
 @pytest.mark.parametrize("ending", ["", "\n", "\r\n"])
 @pytest.mark.parametrize("text", [PHRASE, "9f" * 32, "Zündschlüssel "])
-def test_the_file_holds_a_phrase_or_hexadecimal_digits(
-    tmp_path: Path, text: str, ending: str
-) -> None:
+def test_the_file_holds_a_phrase_or_hexadecimals(tmp_path: Path, text: str, ending: str) -> None:
     assert frames_are_believed(key_file(tmp_path, text + ending), key_of(text))
 
 
 OTHERS_MAY = "others may read or change it.*chmod 600 .*vehicle.key"
-NO_KEY = "a key is one line of text"
+NO_KEY, NO_STAMP = "a key is one line of text", r"vehicle\.key\.time.*Delete it"
 REFUSED = [
-    *((PHRASE, mode, OTHERS_MAY) for mode in (0o644, 0o640, 0o604, 0o620, 0o602, 0o660)),
-    *((content, 0o600, NO_KEY) for content in (b"", b"\n", b"  \n", b"\xff\xfe\n", b"a\nb\n")),
-    (b"k" * 5000, 0o600, NO_KEY),
+    *((PHRASE, mode, "", OTHERS_MAY) for mode in (0o644, 0o640, 0o604, 0o620, 0o602, 0o660)),
+    *((text, 0o600, "", NO_KEY) for text in (b"", b"\n", b"  \n", b"\xff\xfe\n", b"a\nb\n")),
+    (b"k" * 5000, 0o600, "", NO_KEY),
+    *((PHRASE, 0o600, stamp, NO_STAMP) for stamp in (" ", "12", "a b", "1 2 3", "-1 5", "1 \0")),
+    *((PHRASE, 0o600, stamp, NO_STAMP) for stamp in (f"{2**48} 5", "9" * 9999)),
 ]
 
 
-@pytest.mark.parametrize(("content", "mode", "why"), REFUSED)
-def test_a_file_that_others_can_read_or_that_holds_no_key_is_refused_without_being_shown(
-    tmp_path: Path, content: str | bytes, mode: int, why: str
+@pytest.mark.parametrize(("content", "mode", "stamp", "why"), REFUSED)
+def test_a_file_that_others_can_read_or_that_holds_no_key_or_time_is_refused_and_not_shown(
+    tmp_path: Path, content: str | bytes, mode: int, stamp: str, why: str
 ) -> None:
+    if stamp:
+        (tmp_path / "vehicle.key.time").write_text(stamp)
     with pytest.raises(InputError, match=why) as caught:
         SigningKey(key_file(tmp_path, content, mode))
     assert "kkk" not in str(caught.value)
@@ -59,36 +61,18 @@ def test_a_file_that_others_can_read_or_that_holds_no_key_is_refused_without_bei
             SigningKey(path)
 
 
-@pytest.mark.parametrize(
-    "content", ["", "12", "a b", "1 2 3", "-1 5", f"{2**48} 5", "1 \0", "9" * 9999]
-)
-def test_a_time_stamp_that_cannot_be_one_is_refused(tmp_path: Path, content: str) -> None:
-    path = key_file(tmp_path)
-    (tmp_path / "vehicle.key.time").write_text(content)
-    with pytest.raises(InputError, match=r"vehicle\.key\.time.*Delete it"):
-        SigningKey(path)
-
-
-def test_a_disk_that_fails_is_refused_at_the_start_and_does_not_end_the_flight(
-    tmp_path: Path,
-) -> None:
+def test_the_time_is_kept_for_us_alone_and_a_disk_that_fails_ends_no_flight(tmp_path: Path) -> None:
     key, blocked = SigningKey(key_file(tmp_path)), tmp_path / f"vehicle.key.time.{os.getpid()}"
+    signing, kept = key.signing(clock_s=CLOCK_S), tmp_path / "vehicle.key.time"
+    assert signing.timestamp == timestamp_of(CLOCK_S)
     blocked.mkdir()
     with pytest.raises(InputError, match="cannot be kept"):
-        key.signing(clock_s=CLOCK_S)
+        key.signing(clock_s=CLOCK_S)  # refused at the start
     key.save(5, CLOCK_S)
     assert key.failure is not None
     blocked.rmdir()
-    key.save(5, CLOCK_S)
-    assert key.failure is None
-
-
-def test_the_time_stamp_is_kept_whole_and_for_us_alone(tmp_path: Path) -> None:
-    key = SigningKey(key_file(tmp_path))
-    signing = key.signing(clock_s=CLOCK_S)
-    assert signing.timestamp == timestamp_of(CLOCK_S)
     key.save(signing.timestamp + 7, CLOCK_S)
-    kept = tmp_path / "vehicle.key.time"
+    assert key.failure is None
     assert kept.stat().st_mode & 0o077 == 0
     assert sorted(each.name for each in tmp_path.iterdir()) == ["vehicle.key", "vehicle.key.time"]
     assert kept.read_text().split()[0] == str(signing.timestamp + 7)

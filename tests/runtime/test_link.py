@@ -8,10 +8,9 @@ import pytest
 from programs import free_port
 
 from companion.errors import InputError
-from companion.runtime.link import Link, open_link
+from companion.runtime.link import datagrams, open_link
 
 PATIENCE_S = 10.0
-FRAME = bytes(range(64))
 
 
 @pytest.fixture
@@ -23,17 +22,17 @@ def other() -> Iterator[socket.socket]:
         yield end
 
 
-def calling(other: socket.socket) -> Link:
-    return open_link(f"udpout:localhost:{other.getsockname()[1]}")
-
-
-def test_datagrams_arrive_whole_and_in_order_both_ways_and_the_port_is_given_back(
+def test_datagrams_arrive_whole_in_order_and_answers_go_to_who_was_chosen_last(
     other: socket.socket,
 ) -> None:
-    """What is sent before anybody was heard is dropped."""
+    """What is sent before anybody was heard is dropped; the port is given back.
+
+    The source port of a rebooted vehicle is another one; a stranger does not take its place.
+    """
     port = free_port()
     for _ in range(2):
-        with open_link(f"udpin:127.0.0.1:{port}") as link:
+        with open_link(f"udpin:127.0.0.1:{port}") as link, socket.socket(type=other.type) as later:
+            later.settimeout(PATIENCE_S)
             assert link.receive(0.0) is None  # nothing heard is no error
             link.send([b"lost"])
             for number in range(100):
@@ -41,46 +40,30 @@ def test_datagrams_arrive_whole_and_in_order_both_ways_and_the_port_is_given_bac
             got = [link.receive(PATIENCE_S) for _ in range(100)]
             assert got == [b"to %d" % number for number in range(100)]
             link.answer_to(link.sender)
+            later.sendto(b"after", ("127.0.0.1", port))
+            assert link.receive(PATIENCE_S) == b"after"
             for number in range(100):
                 link.send([b"from %d" % number])
             assert [other.recv(2000) for _ in range(100)] == [b"from %d" % n for n in range(100)]
-
-
-def test_answers_go_to_the_sender_that_was_chosen_last(other: socket.socket) -> None:
-    """The source port of a rebooted vehicle is another one; a stranger does not take its place."""
-    port = free_port()
-    with open_link(f"udpin:127.0.0.1:{port}") as link, socket.socket(type=other.type) as rebooted:
-        rebooted.settimeout(PATIENCE_S)
-        other.sendto(b"before", ("127.0.0.1", port))
-        link.receive(PATIENCE_S)
-        link.answer_to(link.sender)
-        rebooted.sendto(b"after", ("127.0.0.1", port))
-        assert link.receive(PATIENCE_S) == b"after"
-        link.send([b"to the first"])
-        assert other.recv(2000) == b"to the first"
-        link.answer_to(link.sender)
-        link.send([b"answer"])
-        assert rebooted.recv(2000) == b"answer"
+            link.answer_to(link.sender)
+            link.send([b"answer"])
+            assert later.recv(2000) == b"answer"
 
 
 @pytest.mark.parametrize(
     "sizes",
-    [[20] * 200, [1400], [1399, 1, 1], [700, 700, 700], [280] * 11, [1, 1400, 1], [2000, 10]],
+    [[], [20] * 200, [1400], [1399, 1, 1], [700, 700, 700], [280] * 11, [1, 1400, 1], [2000, 10]],
     ids=str,
 )
-def test_frames_are_batched_in_order_and_whole_into_as_few_datagrams_of_1400_bytes(
-    other: socket.socket, sizes: list[int]
-) -> None:
+def test_frames_are_batched_into_as_few_datagrams_of_1400_bytes(sizes: list[int]) -> None:
+    """In order and whole; each as full as it can be."""
     frames = [bytes([number % 256]) * size for number, size in enumerate(sizes)]
-    expected = [b""]
-    for frame in frames:  # each as full as it can be
-        if expected[-1] and len(expected[-1]) + len(frame) > 1400:
+    expected = list[bytes]()
+    for frame in frames:
+        if not expected or len(expected[-1]) + len(frame) > 1400:
             expected.append(b"")
         expected[-1] += frame
-    with calling(other) as link:
-        link.send([])  # nothing to send sends nothing
-        link.send(frames)
-        assert [other.recv(65536) for _ in expected] == expected
+    assert [*datagrams(frames)] == expected
 
 
 def test_a_vehicle_that_is_not_there_or_a_network_that_refuses_is_no_error() -> None:

@@ -83,9 +83,7 @@ def stream(
     return fly(link, folder, as_any(session), lockstep=False, stop_asked=over)
 
 
-def test_a_flight_in_lockstep_ends_at_its_target_and_its_folder_holds_all_that_was_said(
-    folder: RunFolder,
-) -> None:
+def test_a_flight_in_lockstep_ends_at_its_target_and_all_is_recorded(folder: RunFolder) -> None:
     def cut(request: PlanRequest, stop: object) -> PlanOutcome:
         return replace(straight_plan(request, stop), stopped_after=2)
 
@@ -104,9 +102,7 @@ def test_a_flight_in_lockstep_ends_at_its_target_and_its_folder_holds_all_that_w
         assert bytes(message.get_msgbuf()) in log
 
 
-def test_a_vehicle_that_falls_silent_ends_the_flight_whoever_else_speaks(
-    folder: RunFolder,
-) -> None:
+def test_a_vehicle_that_falls_silent_ends_it_whoever_else_speaks(folder: RunFolder) -> None:
     vehicle = Vehicle()
 
     class Failing(ScriptedLink):
@@ -141,42 +137,51 @@ def test_a_silence_is_told_as_it_grows_and_ends_with_the_next_word(folder: RunFo
     assert told_s[turn - 1] >= 0.5 > told_s[turn]
 
 
-@pytest.mark.parametrize("stopped", [False, True])
-def test_while_its_planner_is_loaded_it_sends_heartbeats_and_listens_to_ctrl_c_alone(
-    stopped: bool,
-) -> None:
-    """For as long as that takes: that no vehicle is heard of meanwhile is nobody's fault."""
-    vehicle, link, waits_s, heard = Vehicle(), QueueLink(lambda: now_s), 30.0, list[bool]()
-    now_s = 0.0
+class Clock:
+    """Goes on by so much with each look at it."""
 
-    def clock() -> float:
-        nonlocal now_s
-        now_s += 0.1
-        return now_s
+    def __init__(self, step_s: float = 0.1) -> None:
+        self.step_s, self.now_s = step_s, 0.0
+
+    def __call__(self) -> float:
+        self.now_s += self.step_s
+        assert self.now_s < 1000.0, "the flight does not end"
+        return self.now_s
+
+
+def run(link: Link, clock: Clock, planner: Any, until: Callable[[], bool], lockstep: bool) -> Any:
+    """The loop to its end, with a person who asks to stop then; what was flown."""
+    session = Session(MISSION, seed=1, lockstep=lockstep, go=lockstep)
+    control = loop.Loop(session, link, planner, lockstep=lockstep, clock=clock, stop_asked=until)
+    control.run()
+    assert control.flown.end is not None
+    return control.flown
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_while_its_planner_is_loaded_it_beats_and_hears_ctrl_c_alone(stopped: bool) -> None:
+    """For as long as that takes: that no vehicle is heard of meanwhile is nobody's fault."""
+    vehicle, waits_s, clock = Vehicle(), 30.0, Clock()
+    link = QueueLink(lambda: clock.now_s)
 
     class Loading:
-        """A planner that is ready after a while."""
+        """A planner that is ready after a while; meanwhile the vehicle speaks."""
 
         @property
         def is_ready(self) -> bool:
             link.incoming.put(vehicle.tick())
-            heard.append(control.flown.heard)
-            return now_s > waits_s
+            return clock.now_s > waits_s
 
         def answer(self, _wait_s: float) -> None:
             pass
 
     def stop_asked() -> bool:
         link.incoming.put(vehicle.tick())
-        return now_s > waits_s + (-10.0 if stopped else 10.0)
+        return clock.now_s > waits_s + (-10.0 if stopped else 10.0)
 
-    session, planner = Session(MISSION, seed=1, lockstep=False), as_any(Loading())
-    control = loop.Loop(session, link, planner, lockstep=False, clock=clock, stop_asked=stop_asked)
-    control.run()
-    assert not any(heard)
-    assert control.flown.heard is not stopped
-    assert control.flown.end is not None
-    assert control.flown.end.outcome is Outcome.STOPPED
+    flown = run(link, clock, Loading(), stop_asked, lockstep=False)
+    assert flown.heard is not stopped
+    assert flown.end.outcome is Outcome.STOPPED
     waited_s = waits_s - 10.0 * stopped
     beats_s = [at_s for at_s, frame in link.sent if frame[7:10] == bytes(3) and at_s < waited_s]
     assert beats_s[-1] > waited_s - 2.0
@@ -185,26 +190,11 @@ def test_while_its_planner_is_loaded_it_sends_heartbeats_and_listens_to_ctrl_c_a
 
 
 def test_in_lockstep_a_person_ends_the_wait_for_a_plan_that_does_not_come() -> None:
-    link, waited_s, now_s = ScriptedLink(Vehicle()), 0.0, 0.0
-
-    def clock() -> float:
-        nonlocal now_s
-        now_s += 0.1
-        assert now_s < 1000.0, "the flight does not end"
-        return now_s
-
-    def wait(wait_s: float) -> None:
-        nonlocal waited_s
-        waited_s += wait_s
-
-    planner = SimpleNamespace(is_ready=True, answer=wait, ask=lambda _request: None)
-    session = Session(MISSION, seed=1, lockstep=True, go=True)
-    control = loop.Loop(
-        session, link, as_any(planner), lockstep=True, clock=clock, stop_asked=lambda: waited_s > 1
-    )
-    control.run()
-    assert control.flown.end is not None
-    assert control.flown.end.outcome is Outcome.STOPPED
+    waits_s = list[float]()
+    planner = SimpleNamespace(is_ready=True, answer=waits_s.append, ask=lambda _request: None)
+    link = ScriptedLink(Vehicle())
+    flown = run(link, Clock(), planner, lambda: sum(waits_s) > 1.0, lockstep=True)
+    assert flown.end.outcome is Outcome.STOPPED
 
 
 def test_in_lockstep_the_death_of_a_planner_outlasts_a_question_that_it_is_asked_then() -> None:
@@ -217,36 +207,24 @@ def test_in_lockstep_the_death_of_a_planner_outlasts_a_question_that_it_is_asked
 
 
 @pytest.mark.parametrize(("starts_s", "heard"), [(6.0, True), (11.0, False)])
-def test_in_lockstep_a_vehicle_may_take_ten_seconds_after_the_planner_is_ready(
-    starts_s: float, heard: bool
-) -> None:
+def test_in_lockstep_a_vehicle_may_come_ten_seconds_late(starts_s: float, heard: bool) -> None:
     """Simulator and planner are both compiled the first time, one beside the other."""
-    link, ready_s, now_s = ScriptedLink(Vehicle()), 33.0, 0.0
-
-    def clock() -> float:
-        nonlocal now_s
-        now_s += 0.05
-        return now_s
+    clock, ready_s = Clock(0.05), 33.0
 
     class Loading:
-        """A planner that is ready after a while."""
-
-        is_ready = property(lambda _: now_s > ready_s)
+        is_ready = property(lambda _: clock.now_s > ready_s)
 
         def answer(self, _wait_s: float) -> None:
             pass
 
-    def receive(_timeout_s: float) -> bytes | None:
-        return link.vehicle.tick() if now_s > ready_s + starts_s else None
+    class Late(ScriptedLink):
+        def receive(self, timeout_s: float) -> bytes | None:
+            speaks = clock.now_s > ready_s + starts_s
+            return super().receive(timeout_s) if speaks else None
 
-    link.receive = receive
-    session, planner = Session(MISSION, seed=1, lockstep=True), as_any(Loading())
-    control = loop.Loop(
-        session, link, planner, lockstep=True, clock=clock,
-        stop_asked=lambda: now_s > ready_s + 20.0,
-    )  # fmt: skip
-    control.run()
-    assert control.flown.heard is heard
+    link = Late(Vehicle())
+    flown = run(link, clock, Loading(), lambda: clock.now_s > ready_s + 20.0, lockstep=True)
+    assert flown.heard is heard
 
 
 def test_who_spoke_for_the_vehicle_is_answered(folder: RunFolder) -> None:
@@ -276,9 +254,7 @@ def test_a_word_from_the_past_is_not_taken_for_news(folder: RunFolder) -> None:
     assert session.received == [b"first", b"new"]
 
 
-def test_what_must_outlive_the_process_is_kept_now_and_then_and_at_the_end(
-    folder: RunFolder,
-) -> None:
+def test_what_must_outlive_the_process_is_kept_now_and_at_the_end(folder: RunFolder) -> None:
     kept: list[float] = []
     link = ScriptedLink(Vehicle())
     fly(link, folder, clock=link.clock, persist=lambda: kept.append(link.clock()))

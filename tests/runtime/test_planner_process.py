@@ -5,7 +5,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,17 +21,17 @@ from companion.runtime.planner_process import PlannerEndedError, PlannerProcess
 
 
 @pytest.fixture
-def stack() -> Iterator[contextlib.ExitStack]:
+def of() -> Iterator[Callable[..., PlannerProcess]]:
+    """Makes one that is ready; it does what `plan` does if nothing is said."""
     with contextlib.ExitStack() as stack:
-        yield stack
 
+        def made(*does: Any, **keywords: Any) -> PlannerProcess:
+            planner = stack.enter_context(contextlib.closing(PlannerProcess(*does, **keywords)))
+            while not planner.is_ready:
+                assert planner.answer(PATIENCE_S) is None
+            return planner
 
-def of(stack: contextlib.ExitStack, *does: Any, **keywords: Any) -> PlannerProcess:
-    """One that is ready; as `plan` does if nothing is said."""
-    made = stack.enter_context(contextlib.closing(PlannerProcess(*does, **keywords)))
-    while not made.is_ready:
-        assert made.answer(PATIENCE_S) is None
-    return made
+        yield made
 
 
 def planned(planner: PlannerProcess, request: PlanRequest) -> Any:
@@ -42,10 +42,8 @@ def planned(planner: PlannerProcess, request: PlanRequest) -> Any:
     return answer[0]
 
 
-def test_a_plan_is_the_same_from_another_process_which_is_started_once_and_answers_any_number(
-    stack: contextlib.ExitStack,
-) -> None:
-    planner = of(stack)
+def test_a_plan_is_the_same_from_a_process_that_answers_any_number(of: Any) -> None:
+    planner = of()
     before = planner.process
     assert [planned(planner, request_of(number)).plan_id for number in (1, 2, 3)] == [1, 2, 3]
     assert planner.process is before
@@ -58,10 +56,8 @@ def test_a_plan_is_the_same_from_another_process_which_is_started_once_and_answe
         np.testing.assert_allclose(found.subpath.control_nea_m, control, atol=1e-6)
 
 
-def test_arrays_arrive_as_they_were_whatever_their_order_in_memory(
-    stack: contextlib.ExitStack,
-) -> None:
-    planner, request = of(stack, odd.echoes, odd.nothing), request_of(1)
+def test_arrays_arrive_as_they_were_whatever_their_order(of: Any) -> None:
+    planner, request = of(odd.echoes, odd.nothing), request_of(1)
     heights = np.arange(1_000_000.0).reshape(1000, 1000)
     heights[3, :3] = np.nan, np.inf, -np.inf
     frozen = heights.copy()
@@ -74,10 +70,10 @@ def test_arrays_arrive_as_they_were_whatever_their_order_in_memory(
 
 
 def test_a_plan_that_raises_is_an_error_with_its_words_and_what_it_prints_is_no_output_of_ours(
-    stack: contextlib.ExitStack, capfd: pytest.CaptureFixture[str]
+    of: Any, capfd: pytest.CaptureFixture[str]
 ) -> None:
     capfd.readouterr()
-    planner = of(stack, odd.raises, odd.is_noisy)
+    planner = of(odd.raises, odd.is_noisy)
     planner.ask(request_of(1))
     with pytest.raises(PlannerEndedError, match="ZeroDivisionError: made up"):
         planner.answer(PATIENCE_S)
@@ -86,10 +82,10 @@ def test_a_plan_that_raises_is_an_error_with_its_words_and_what_it_prints_is_no_
 
 @pytest.mark.parametrize("hurries", [True, False])
 def test_of_two_plans_that_are_asked_for_only_the_newer_counts_and_a_search_ends_in_time(
-    stack: contextlib.ExitStack, hurries: bool
+    of: Any, hurries: bool
 ) -> None:
     """The first stops as soon as nobody waits for it; in lockstep nothing else stops one."""
-    planner = of(stack, odd.searches, odd.nothing, hurries=hurries)
+    planner = of(odd.searches, odd.nothing, hurries=hurries)
     planner.ask(request_of(1, planning_time_s=1000.0))
     planner._sender.join()
     planner.ask(request_of(2, planning_time_s=0.1))
@@ -103,51 +99,43 @@ def test_of_two_plans_that_are_asked_for_only_the_newer_counts_and_a_search_ends
         assert answer is None
 
 
-def test_a_process_that_does_not_come_up_or_that_cannot_be_started_is_an_error(
-    stack: contextlib.ExitStack,
+def test_a_process_that_does_not_come_up_or_cannot_be_started_is_an_error(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    planner = stack.enter_context(contextlib.closing(PlannerProcess(odd.echoes, odd.comes_not_up)))
-    with pytest.raises(PlannerEndedError, match="exit code 3"):
-        planner.answer(PATIENCE_S)
-    planner = stack.enter_context(contextlib.closing(PlannerProcess()))
-    monkeypatch.setattr(planner, "_start", Path("/nowhere").stat)
-    with pytest.raises(PlannerEndedError, match="No such file"):
-        planner.answer()
+    gone, unable = PlannerProcess(odd.echoes, odd.comes_not_up), PlannerProcess()
+    monkeypatch.setattr(unable, "_start", Path("/nowhere").stat)
+    for planner, why in ((gone, "exit code 3"), (unable, "No such file")):
+        with contextlib.closing(planner), pytest.raises(PlannerEndedError, match=why):
+            planner.answer(PATIENCE_S)
 
 
-PARENT = """
+PROGRAM = """
 import os, signal
+import odd_planners as odd
 from companion.runtime.planner_process import PlannerProcess
-planner = PlannerProcess()
+planner = PlannerProcess({does})
 while not planner.is_ready:
     planner.answer(1.0)
-os.kill(os.getpid(), signal.SIGKILL)
+{then}
 """
+
+
+def ended(does: str, then: str) -> subprocess.CompletedProcess[bytes]:
+    """A program that has had a planner, the first process that it has started."""
+    command = [sys.executable, "-c", PROGRAM.format(does=does, then=then)]
+    here = Path(__file__).parent
+    return subprocess.run(command, cwd=here, capture_output=True, timeout=60, check=False)
 
 
 def test_a_planner_does_not_outlive_a_companion_that_is_killed() -> None:
     """Its standard error ends when the last process that holds it does."""
-    parent = subprocess.run(
-        [sys.executable, "-c", PARENT], capture_output=True, timeout=60, check=False
-    )
+    parent = ended("", "os.kill(os.getpid(), signal.SIGKILL)")
     assert (parent.returncode, parent.stderr) == (-signal.SIGKILL, b"")
-
-
-FIRST = """
-import odd_planners as odd
-from companion.runtime.planner_process import PlannerProcess
-planner = PlannerProcess(odd.echoes, odd.cannot_hear_ctrl_c)
-while not planner.is_ready:
-    planner.answer(1.0)
-planner.close()
-"""
 
 
 def test_ctrl_c_in_a_terminal_does_not_end_a_planner_that_is_being_started() -> None:
     """Not the first process that is started, either, of which there may be one in a program."""
-    here = Path(__file__).parent
-    subprocess.run([sys.executable, "-c", FIRST], cwd=here, timeout=60, check=True)
+    assert ended("odd.echoes, odd.cannot_hear_ctrl_c", "planner.close()").returncode == 0
 
 
 FACTORISED = """

@@ -34,7 +34,8 @@ class Rig:
         self.now_s = 100.0
         self._looks, self._looked = 0, threading.Condition()
         self.link = QueueLink(self.clock)
-        self.gate = Gate(self.link, self.clock)
+        self.signings = 0
+        self.gate = Gate(self.link, self.clock, self._signed)
         self.failures: list[tuple[Failure, list[bytes]]] = []
         session = SimpleNamespace(hold_frames=lambda: [HOLD], final_text=lambda _why: [])
         self.watchdog = Watchdog(
@@ -49,6 +50,10 @@ class Rig:
             self._looks += 1
             self._looked.notify_all()
             return self.now_s
+
+    def _signed(self, frames: list[bytes]) -> list[bytes]:
+        self.signings += 1
+        return frames
 
     def goes_on(self, seconds: float) -> None:
         """The clock does, between two looks."""
@@ -99,6 +104,7 @@ def test_the_hold_is_sent_once_in_full_for_a_death_and_not_for_an_end(dies: bool
     assert rig.failures == ([(died, [HOLD])] if dies else [])
     assert rig.watchdog.failure == (died if dies else None)
     assert rig.frames() == [HOLD] * 3 * dies
+    assert rig.signings == 3 * dies  # a signature that was sent before would be refused
     assert rig.gate.is_shut is dies
 
 

@@ -1,11 +1,9 @@
 """Parts of the companion are killed and blocked for real, in real time (design 7, last row)."""
 
 import ctypes
-import io
 import json
 import math
 import os
-import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -32,6 +30,7 @@ from companion.mission.events import End, Outcome
 from companion.runtime import loop, planner_process, recorder, watchdog
 from companion.runtime.compiler import load_libraries
 from companion.runtime.planner_process import PlannerHere, PlannerProcess
+from companion.runtime.watchdog import Failure
 from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.run_folder import RunFolder
 
@@ -58,8 +57,6 @@ class Rig:
             "lockstep": False,
             "planner": PlannerHere(odd_planners.echoes),
         }
-        self.once_flying: Callable[[], None] = lambda: None
-        """What happens once setpoints are streamed."""
         self.released = threading.Event()
         """What has stood still goes on."""
         self._over = threading.Event()
@@ -137,52 +134,69 @@ def rig(folder: RunFolder, monkeypatch: pytest.MonkeyPatch) -> Rig:
     return Rig(folder)
 
 
-# --- deaths: how each comes about in a flight; the part that has died, and what is said of it
+# --- deaths: how each comes about in a flight, and what is said of it
 
 
-def broken(rig: Rig, error: Exception) -> Callable[..., Any]:
-    def breaks(*_: object) -> Any:
-        rig.breaks_now()
-        raise error
-
-    return breaks
+def breaks(rig: Rig, error: Exception) -> None:
+    rig.breaks_now()
+    raise error
 
 
-def session_raises(rig: Rig) -> tuple[str, str]:
-    rig.at(BREAKS_AT, broken(rig, OSError("made up")))
-    return "decider", "OSError: made up"
+def session_raises(rig: Rig) -> str:
+    rig.at(BREAKS_AT, lambda: breaks(rig, OSError("made up")))
+    return "OSError: made up"
 
 
-def session_raises_in_lockstep(rig: Rig) -> tuple[str, str]:
-    """Nothing depends on the clock there, but a death is a death."""
-    rig.options["lockstep"] = True
-    return session_raises(rig)
-
-
-def session_raises_and_cannot_even_say_hold(rig: Rig) -> tuple[str, str]:
+def session_raises_and_cannot_even_say_hold(rig: Rig) -> str:
     """It has said it before."""
 
-    def breaks() -> None:
+    def does() -> None:
         rig.session.hold_frames = None  # type: ignore[assignment, method-assign]
-        broken(rig, KeyError("made up"))()
+        breaks(rig, KeyError("made up"))
 
-    rig.at(BREAKS_AT, breaks)
-    return "decider", "KeyError"
+    rig.at(BREAKS_AT, does)
+    return "KeyError"
 
 
-def session_stands_still(rig: Rig) -> tuple[str, str]:
+def session_stands_still(rig: Rig) -> str:
     def stops() -> None:
         rig.breaks_now()
         rig.released.wait()
 
     rig.at(BREAKS_AT, stops)
-    return "decider", "stood still"
+    return "stood still"
 
 
-DEATHS = [
-    *(session_raises, session_raises_in_lockstep, session_raises_and_cannot_even_say_hold),
-    session_stands_still,
-]
+@pytest.mark.parametrize(
+    ("death", "lockstep"),
+    [
+        *((session_raises, lockstep) for lockstep in (False, True)),
+        *((session_raises_and_cannot_even_say_hold, False), (session_stands_still, False)),
+    ],
+)
+def test_once_it_has_died_nothing_more_is_streamed_and_the_vehicle_is_told_to_hold(
+    rig: Rig, death: Callable[[Rig], str], lockstep: bool
+) -> None:
+    """The stream and the heartbeats stop in time; in lockstep nothing depends on the clock."""
+    error, rig.options["lockstep"] = death(rig), lockstep
+    with rig.flying():
+        assert rig.end.outcome is Outcome.FAILED
+        assert "decider" in rig.end.reason
+        sent = len(rig.link.sent)
+        rig.released.set()  # what it says now leaves no more
+    assert len(rig.link.sent) == sent
+    assert error == "stood still" or rig.session.died == []  # it cannot be told
+    for frame in (SETPOINT, HEARTBEAT):
+        assert rig.link.times_of(frame)[-1] - rig.broken_s < BAR_S
+    holds_s = rig.link.times_of(HOLD)
+    assert len(holds_s) == 3
+    assert holds_s[0] - rig.broken_s < BAR_S
+    assert rig.link.sent[-1][1] == HOLD
+    lines = (rig.folder.path / "journal.jsonl").read_text("utf-8").splitlines()
+    [noted] = [each for each in map(json.loads, lines) if each["kind"] == "part died"]
+    assert noted["part"] == "decider"
+    assert error in noted["error"]
+    assert HOLD in (rig.folder.path / "flight.tlog").read_bytes()
 
 
 def planner_raises(rig: Rig) -> str:
@@ -204,21 +218,18 @@ def planner_is_killed(rig: Rig) -> str:
     def kill() -> None:
         rig.breaks_now()
         assert planner.process is not None
-        assert planner.process.pid is not None
-        os.kill(planner.process.pid, signal.SIGKILL)
+        planner.process.kill()
 
-    rig.once_flying = kill
+    rig.at(10, kill)
     return "its process has ended (SIGKILL)"
 
 
 @pytest.mark.parametrize("death", [planner_raises, planner_stands_still, planner_is_killed])
-def test_once_its_planner_has_failed_nothing_more_is_streamed_and_the_vehicle_is_told_to_hold(
+def test_once_its_planner_has_failed_it_says_so_and_ends(
     rig: Rig, death: Callable[[Rig], str]
 ) -> None:
-    """The session itself says so, and ends."""
     error = death(rig)
     with rig.flying():
-        rig.once_flying()
         assert rig.end.outcome is Outcome.FAILED
     assert rig.session.died == [("planner", error)]
     [hold_s] = rig.link.times_of(HOLD)
@@ -227,68 +238,41 @@ def test_once_its_planner_has_failed_nothing_more_is_streamed_and_the_vehicle_is
     assert rig.longest_gap_s < BAR_S
 
 
-def assert_held(rig: Rig, part: str, error: str) -> None:
-    """The stream and the heartbeats stopped in time, and the autopilot was told to hold."""
-    assert rig.end.outcome is Outcome.FAILED
-    assert part in rig.end.reason
-    for frame in (SETPOINT, HEARTBEAT):
-        assert rig.link.times_of(frame)[-1] - rig.broken_s < BAR_S
-    holds_s = rig.link.times_of(HOLD)
-    assert len(holds_s) == 3
-    assert holds_s[0] - rig.broken_s < BAR_S
-    assert rig.link.sent[-1][1] == HOLD
-    lines = (rig.folder.path / "journal.jsonl").read_text("utf-8").splitlines()
-    [noted] = [each for each in map(json.loads, lines) if each["kind"] == "part died"]
-    assert noted["part"] == part
-    assert error in noted["error"]
-    assert HOLD in (rig.folder.path / "flight.tlog").read_bytes()
-
-
-@pytest.mark.parametrize("death", DEATHS)
-def test_whatever_dies_nothing_more_is_streamed_and_the_vehicle_is_told_to_hold(
-    rig: Rig, death: Callable[[Rig], tuple[str, str]]
-) -> None:
-    part, error = death(rig)
-    with rig.flying():
-        rig.once_flying()
-        assert_held(rig, part, error)
-        sent = len(rig.link.sent)
-        rig.released.set()  # what it says now leaves no more
-    assert len(rig.link.sent) == sent
-    assert error.startswith("stood") or rig.session.died == []  # it cannot be told
-
-
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_watchdog_that_has_failed_itself_ends_the_flight_as_if_it_were_stopped(rig: Rig) -> None:
+def its_clock_fails(rig: Rig) -> type[BaseException]:
     def clock() -> float:
         now_s = time.monotonic()
         if threading.current_thread() is rig.flies and rig.broken_s < now_s:
             raise MemoryError("made up")
         return now_s
 
-    planner = rig.options["planner"] = PlannerProcess(odd_planners.echoes, odd_planners.nothing)
     rig.options["clock"] = clock
-    with rig.flying():
-        rig.breaks_now()
-        rig.flies.join(PATIENCE_S)
-    assert isinstance(rig.raised, MemoryError)
-    assert rig.session.has_left
-    assert rig.session.died == []
-    assert planner.process is not None
-    assert not planner.process.is_alive()
+    return MemoryError
 
 
-def test_what_fails_to_be_shown_ends_the_flight_and_is_raised(rig: Rig) -> None:
+def its_terminal_fails(rig: Rig) -> type[BaseException]:
     def show(_flown: object) -> None:
         if rig.broken_s < time.monotonic():
             raise BrokenPipeError
 
     rig.options["on_progress"] = show
+    return BrokenPipeError
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+@pytest.mark.parametrize("fails", [its_clock_fails, its_terminal_fails])
+def test_a_watchdog_that_fails_or_cannot_show_ends_the_flight_as_if_stopped_and_raises(
+    rig: Rig, fails: Callable[[Rig], type[BaseException]]
+) -> None:
+    planner = rig.options["planner"] = PlannerProcess(odd_planners.echoes, odd_planners.nothing)
+    error = fails(rig)
     with rig.flying():
         rig.breaks_now()
         rig.flies.join(PATIENCE_S)
-    assert isinstance(rig.raised, BrokenPipeError)
+    assert isinstance(rig.raised, error)
     assert rig.session.has_left
+    assert rig.session.died == []
+    assert planner.process is not None
+    assert not planner.process.is_alive()
 
 
 def test_a_terminal_that_blocks_does_not_delay_the_stream(rig: Rig) -> None:
@@ -319,9 +303,7 @@ def test_a_hold_that_does_not_get_out_is_tried_again(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize(("lockstep", "at"), [(False, 1), (True, BREAKS_AT)])
-def test_a_slow_start_is_no_death_nor_is_anything_slow_in_lockstep(
-    rig: Rig, lockstep: bool, at: int
-) -> None:
+def test_a_slow_start_is_no_death_nor_a_slow_lockstep(rig: Rig, lockstep: bool, at: int) -> None:
     """Before the stream a part may take its time: a computer that starts up is busy."""
     rig.options["lockstep"] = lockstep
     rig.at(at, lambda: threading.Event().wait(0.6) and None)
@@ -350,49 +332,23 @@ def test_a_setpoint_that_took_too_long_is_not_sent(rig: Rig) -> None:
 # --- the disk: a flight goes on without it
 
 
-class FullFile:
-    """A file on a full disk."""
-
-    def __init__(self, file: io.FileIO) -> None:
-        self.close = file.close
-
-    def write(self, _data: bytes) -> int:
-        raise OSError(28, "No space left on device")
-
-    def seek(self, *_: object) -> int:
-        return 0
-
-    tell = truncate = seek
-
-
-def is_full(rig: Rig) -> None:
-    files = as_any(rig.folder)._files
-    files["flight.tlog"] = FullFile(files["flight.tlog"])
+def test_what_is_not_recorded_is_told_once(folder: RunFolder, tmp_path: Path) -> None:
+    """That the flight goes on without: below, and on a full disk `closed_loop/test_shown`."""
+    told = list[Failure]()
+    writes = recorder.Recorder(folder, time.monotonic, told.append)
+    moved = folder.path.rename(tmp_path / "moved")
+    for number in range(3):
+        entry = {"t_s": 1.0, "kind": "x"}
+        writes.put(Output(checkpoint={"number": number}, journal=[entry]))
+    assert told == [Failure("state for --resume", "No such file or directory")]
+    assert len((moved / "journal.jsonl").read_text("utf-8").splitlines()) == 3
+    for _ in range(2):
+        writes.put(Output(journal=[{"t_s": 1.0, "kind": "odd", "value": object()}]))
+    assert [failure.part for failure in told[1:]] == [recorder.WRITER]
+    assert told[1].error.startswith("TypeError")
 
 
-def is_odd(rig: Rig) -> None:
-    rig.session.out.journal.append({"t_s": 1.0, "kind": "odd", "value": object()})
-
-
-@pytest.mark.parametrize(
-    ("breaks", "told"), [(is_full, "No space left on device"), (is_odd, "TypeError")]
-)
-def test_a_disk_that_is_full_or_an_entry_that_cannot_be_written_ends_the_recording_alone(
-    rig: Rig, breaks: Callable[[Rig], None], told: str
-) -> None:
-    rig.at(10, lambda: breaks(rig))
-    with rig.flying():
-        rig.link.wait_until(lambda: bool(rig.session.complaints))
-        rig.streams_on()
-    [said] = rig.session.complaints
-    assert said.startswith(f"not recorded any more: {told}")
-    assert rig.link.times_of(HOLD) == []
-    assert rig.end.outcome is Outcome.STOPPED
-
-
-def test_a_disk_that_blocks_does_not_delay_the_stream_and_is_told_of_once(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_blocks_delays_no_stream(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     """The log is a pipe that nobody reads: full after 64 KiB."""
     monkeypatch.setattr(recorder, "_DISK_S", 0.3)
     monkeypatch.setattr(recorder, "_LEAVE_S", 0.3)
@@ -419,27 +375,7 @@ def test_a_disk_that_blocks_does_not_delay_the_stream_and_is_told_of_once(
     assert rig.longest_gap_s < BAR_S
 
 
-def test_a_folder_that_is_moved_away_is_told_of_once_and_what_grows_is_recorded_there(
-    rig: Rig, tmp_path: Path
-) -> None:
-    def moves(session: StubSession, number: int) -> None:
-        if number == 10:
-            rig.folder.path.rename(tmp_path / "moved")
-        session.out.checkpoint = {"number": number}
-        session.out.journal.append({"t_s": session.now_s, "kind": "x"})
-
-    rig.session.on_datagram = moves
-    with rig.flying():
-        rig.link.wait_until(lambda: bool(rig.session.complaints))
-        size = (tmp_path / "moved" / "journal.jsonl").stat().st_size
-        rig.streams_on()
-    lost = "state for --resume is lost: No such file or directory"
-    assert rig.session.complaints == [lost]
-    assert rig.link.times_of(HOLD) == []
-    assert (tmp_path / "moved" / "journal.jsonl").stat().st_size > size
-
-
-def test_what_waits_for_a_slow_disk_has_an_end(
+def test_a_slow_disk_keeps_so_much_waiting(
     folder: RunFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(recorder, "_MOST_WAITING", 100_000)
