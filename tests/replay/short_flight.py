@@ -10,8 +10,7 @@ from test_loop import ScriptedLink
 from companion.config import load_mission, mission_text
 from companion.mission.mission import Mission
 from companion.mission.start import Start
-from companion.replay.differences import Replayed
-from companion.replay.reproduce import Replay
+from companion.replay.compare import Replayed, replay_of_folder
 from companion.runtime import loop
 from companion.runtime.planner_process import PlannerHere
 from companion.session import Session
@@ -56,7 +55,7 @@ def fly_short(
 
 def replayed(path: Path, **options: Any) -> Replayed:
     """What the replay of a run folder finds."""
-    replay = Replay(path, mission_of(path), **options)
+    replay = replay_of_folder(path, mission_of(path), **options)
     for _ in replay.steps():
         pass
     return replay.found

@@ -13,7 +13,7 @@ from tlog import recorded_frames
 from companion.config import load_mission
 from companion.mission import machine
 from companion.mission.events import Outcome
-from companion.replay.reproduce import Replay
+from companion.replay.compare import replay_of_folder
 from companion.replay.what_if import what_if
 from companion.telemetry.inputs import FILE, InputsFile
 
@@ -96,7 +96,7 @@ def test_a_frame_that_was_not_sent_is_left_out_if_it_is_said_so(
 ) -> None:
     run = tmp_path / "run"
     fly_short(run, until_s=30.0)
-    replay = Replay(run, mission_of(run), plans=False)
+    replay = replay_of_folder(run, mission_of(run), plans=False)
     frames = [replay.found.frames for _ in replay.steps()]  # after each input
     records = recorded_frames(run / "flight.tlog")
     sends = (  # the first frame that an input in the midst of the flight had it send
