@@ -81,8 +81,10 @@ class TrackDeviation(Struct, frozen=True, kw_only=True):
     """Root mean square over the positions."""
 
     @staticmethod
-    def of(positions: Sequence[tuple[float, float]]) -> "TrackDeviation":
-        """Of positions: when each was, and how far off."""
+    def of(positions: Sequence[tuple[float, float]]) -> "TrackDeviation | None":
+        """Of positions: when each was, and how far off; None: there are none."""
+        if not positions:
+            return None
         at_s, off_m = np.array(positions).T
         farthest = int(np.argmax(off_m))
         return TrackDeviation(

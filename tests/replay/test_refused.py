@@ -109,8 +109,8 @@ ENDS_EARLY = "the recording ends early: .*\nidentical\n"  # as a power cut or a 
 DAMAGES: dict[str, tuple[Damage, int, str]] = {
     "nothing": (empty("flight.tlog", "journal.jsonl"), 2, "it holds nothing to compare a replay"),
     "no frame": (empty("flight.tlog"), 0, "no frame was compared: flight.tlog holds none"),
-    "a line that is no JSON": (an_odd_line, 1, "line: recorded b'.\\\\n'.*Companion .* flew"),
-    "garbage in the log": (garbage_in_the_log, 1, "recorded '.* bytes that are no frames'"),
+    "a line that is no JSON": (an_odd_line, 1, "kind: recorded b'.\\\\n'.*Companion .* flew"),
+    "garbage in the log": (garbage_in_the_log, 2, "up to there.* bytes of flight.tlog that are no"),
     "garbage in the inputs": (
         inputs_end_with(lambda rest: b"\xc1" + rest),
         2,
