@@ -21,7 +21,7 @@ from companion.mavlink.autopilots import FIRMWARES, NAMES, Autopilot, autopilot_
 from companion.mavlink.autopilots.messages import NOWHERE_DEG
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, KINDS, Message, wire
 from companion.mavlink.frames import decoded, number_of, payload_of, sender_of
-from companion.mavlink.link import TO_COMPONENT_1, Output, ids_in_words
+from companion.mavlink.link import TIME_ONLY_MESSAGES, TO_COMPONENT_1, Output, ids_in_words
 from companion.mavlink.signing import strip_signature
 from companion.mission.mission import EndAction, Mission
 from companion.path.limits import Limits
@@ -37,13 +37,7 @@ HEARTBEAT: Final = wire.MAVLINK_MSG_ID_HEARTBEAT
 POSITION: Final = wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 GPS: Final = wire.MAVLINK_MSG_ID_GPS_RAW_INT
 STATUSTEXT: Final = wire.MAVLINK_MSG_ID_STATUSTEXT
-_CLOCKS: Final = frozenset(
-    {
-        wire.MAVLINK_MSG_ID_ATTITUDE,
-        wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
-        wire.MAVLINK_MSG_ID_SYSTEM_TIME,
-    }
-)
+_CLOCKS: Final = TIME_ONLY_MESSAGES | {wire.MAVLINK_MSG_ID_SYSTEM_TIME}
 """They only tell the time: needed where there is no position to tell it."""
 LISTENED: Final = frozenset(
     {
@@ -59,7 +53,8 @@ LISTENED: Final = frozenset(
         *(each.all_is_well().get_msgId() for each in FIRMWARES),
     }
 )
-"""Of the autopilot, besides the clocks.  Shadow mode needs neither battery nor setpoint echoes."""
+"""Of the autopilot, besides the clocks.  Shadow mode needs neither battery nor setpoint echoes, and
+what the autopilot answered to others is no answer to it."""
 _LOOKS_S: Final = (3.0, 10.0, 30.0, 600.0)  # when a silence means something to the session
 _OVERDUE: Final = 3.0  # usual periods without a position, before the clock goes on without one
 _PERIODS: Final = 21
@@ -147,7 +142,7 @@ def _look(log: Log) -> _Look:
             heartbeat, autopilot = message, autopilot_of(message)  # while it boots it is of no kind
         elif number == GPS:
             fix = message.fix_type >= wire.GPS_FIX_TYPE_3D_FIX
-        elif number == POSITION and (fix or place is None):
+        elif number == POSITION and not believed and (fix or place is None):
             here = deg(message.lat), deg(message.lon)
             if _is_a_place(*here):
                 place, believed = here, fix
@@ -377,23 +372,24 @@ def _all_is_well(system_id: int, autopilot: Autopilot) -> dict[int, bytes]:
 
 def _could_not(mission: Mission, watching: Watch, report: ShadowReport) -> Iterator[str]:
     """What shadow mode could not do on this log, beside that for which messages are missing."""
+    rate_hz, known = report.position_rate_hz, mission.known
     if names := " and ".join(watching.stood_in_s):
         since_s = min(watching.stood_in_s.values())
         yield (
             f"tell whether the position is to be believed: {names} missing: taken to be good from "
             f"{since_s:.0f} s on (in flight it would not have begun). {HOW_TO_RECORD}"
         )
-    if report.position_rate_hz is not None and report.position_rate_hz < _SLOW_HZ:
+    if rate_hz is not None and rate_hz < _SLOW_HZ:
         yield (
             "tell in time that a position is missing: GLOBAL_POSITION_INT comes at "
-            f"{report.position_rate_hz:.1f} Hz. Record it at {_SLOW_HZ:g} Hz or more"
+            f"{rate_hz:.1f} Hz. Record it at {_SLOW_HZ:g} Hz or more"
         )
     if mission.targets_from_vehicle:
         yield (
             "plan to the targets of the vehicle's own mission: a log does not answer questions: "
             "MISSION_ITEM_INT is not heard. Give a mission with [[targets]]"
         )
-    if report.plans and (mission.known is None or not mission.known.surveyed.any()):
+    if report.plans and (known is None or not known.surveyed.any()):
         yield (
             "plan as it would: a log does not answer scans: nothing is known of the ground. Give "
             "the mission [terrain]: an elevation file, or highest_amsl_m"
