@@ -179,9 +179,10 @@ class Replay:
                     self._compare(told[0], output, error, remarks)
                 found.took_s = time.perf_counter() - began_s
                 if found.difference is not None:
-                    return
+                    break
                 yield
-            self._recorded.end()
+            else:
+                self._recorded.end()
         except DamagedInputError as error:
             found.damaged = str(error)
         if self._stop is not None:

@@ -398,7 +398,7 @@ def test_it_plans_where_the_vehicle_is_and_only_where_that_is_to_be_believed(
     assert asked_s == sorted(asked_s)
     assert asked_s[-1] < hold.let_go_s
     assert first.why == "it begins to watch"
-    assert all("off its path" in asked.why for asked in others)
+    assert all("m off the path" in asked.why for asked in others)
     assert "flown track off its own paths" in text_of(report)
     # the last one was to be answered when it had let go
     assert [asked.outcome for asked in plans] == ["ready"] * len(others) + ["given up"]
