@@ -78,7 +78,7 @@ def _compare(
         _write({"identical": found.is_identical, **asdict(found)}, json_file)
     elif not found.damaged:  # nothing is not the same as something
         rule = "it holds nothing to compare a replay with"
-        remedy = "Give the recording of a flight, whole; of another's flight give --shadow, too."
+        remedy = "Give the recording of a flight, whole."
         raise InputError("RUN_DIR|LOG", str(flight), rule, remedy)
     if found.damaged and not differs:
         rule = f"what was recorded is damaged ({found.damaged})"

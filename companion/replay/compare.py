@@ -432,13 +432,19 @@ def replay_of_log(
 ) -> tuple[Replay, Log]:
     """The replay of a log by itself, and the log, for what is odd about it.
 
-    InputError if it is no log, or has several vehicles and none is chosen.
+    InputError if it is no log, has several vehicles and none is chosen, or if nothing in it was sent
+    by a companion.
     """
     log = open_log(path, system_id=system_id)
     flown = replace(mission, system_id=log.system_id or mission.system_id)
     session = Session(flown, seed=seed, lockstep=True, version=version)
     again = open_log(path, system_id=log.system_id).records()
-    recorded = Recorded((each for each in again if _is_of_companion(each.frame)), alone=True)
+    sent = (each for each in again if _is_of_companion(each.frame))
+    if (first := next(sent, None)) is None:
+        rule = "nothing in it was sent by a companion: there is nothing to compare with"
+        remedy = "Give --shadow to see what it would have done."
+        raise InputError("RUN_DIR|LOG", str(path), rule, remedy)
+    recorded = Recorded(chain([first], sent), alone=True)
     asked = dict[int, PlanRequest]()
     inputs = chain(session.take_output().inputs, _inputs_of(log, asked, recorded.found))
     return Replay(inputs, recorded, lambda _: mission, asked=asked), log
