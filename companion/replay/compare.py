@@ -432,8 +432,7 @@ def replay_of_log(
 ) -> tuple[Replay, Log]:
     """The replay of a log by itself, and the log, for what is odd about it.
 
-    InputError if it is no log, has several vehicles and none is chosen, or if nothing in it was sent
-    by a companion.
+    InputError if it is no log, has several vehicles and none is chosen, or no companion.
     """
     log = open_log(path, system_id=system_id)
     flown = replace(mission, system_id=log.system_id or mission.system_id)

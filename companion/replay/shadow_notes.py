@@ -169,7 +169,7 @@ class Notes:
                     asked.attempt.outcome = "given up"
             self._asked, self._followed = {}, None
             place, in_air = self._place(state.vehicle.position_nea_m), is_in_air(state.vehicle)
-            hold = Hold(let_go_s=at_s, vehicle_s=state.now_s, why=[], place=place, in_air=in_air)
+            hold = Hold(let_go_s=at_s, why=[], place=place, in_air=in_air)
             self._hold = hold
             self.report.holds.append(hold)
         if not hold.why or hold.why[-1].code != reason.name:

@@ -42,8 +42,6 @@ class Hold(Struct, kw_only=True):
     """A time span in which the companion would have put the vehicle on hold."""
 
     let_go_s: float
-    vehicle_s: float
-    """The same by the vehicle's clock."""
     why: list[HoldReason]
     """The first is why it let go; the others came while it held."""
     place: Place | None
@@ -209,18 +207,14 @@ def _head(report: ShadowReport) -> Iterator[str]:
         f"{report.length_s:,.1f} s{air}"
     )
     yield "times: seconds after the log's first record; places: latitude, longitude, altitude AMSL"
-    if report.mission is None:
-        yield "no mission was given: only the vehicle's health was looked at"
-    else:
-        yield f"mission {report.mission}"
+    none = "no mission was given: only the vehicle's health was looked at"
+    yield none if report.mission is None else f"mission {report.mission}"
     if report.watched_from_s is None:
         yield "the companion would never have been ready"
-    else:
-        always = "; it would never have let go: the position could always be believed"
-        yield (
-            f"ready, with a position to be believed, at {report.watched_from_s:,.1f} s"
-            f"{'' if report.holds else always}"
-        )
+        return
+    always = "; it would never have let go: the position could always be believed"
+    ready = f"ready, with a position to be believed, at {report.watched_from_s:,.1f} s"
+    yield ready if report.holds else ready + always
 
 
 def _hold_row(hold: Hold, report: ShadowReport) -> list[str]:
