@@ -330,7 +330,7 @@ class Recorded:
         self._epoch_us, self._searches = None, self.found.starts > 0
         while self._searches and self._next_line() is not None:
             self.found.of_no_input += 1
-        if self._lines and self._lines[0].startswith(_HEADER):
+        while self._lines and self._lines[0].startswith(_HEADER):  # or it had been killed at once
             self._lines.popleft()
 
     def compare(self, output: Output) -> None:
