@@ -185,8 +185,7 @@ class Replay:
                 self._recorded.end()
         except DamagedInputError as error:
             found.damaged = str(error)
-        if self._stop is not None:
-            found.stops.append(f"{self._stop[0]}, and went on: nothing is missing")
+        self._go_on()
 
     def _feed(self, told: Input) -> tuple[Output | None, Exception | None]:
         """Feed one input; what the session gave and what it raised."""
@@ -222,6 +221,7 @@ class Replay:
         """Note from when to when nothing is known, once the recording had stopped."""
         found, now_s = self.found, session.now_s
         if (why := why_not_recorded(told)) is not None:
+            self._go_on()
             self._stop = f"at t {now_s:.1f} s ({why})", found.starts
         elif self._stop is not None and now_s - self._known_s > _LEAP_S:
             (where, start), self._stop = self._stop, None
@@ -232,6 +232,11 @@ class Replay:
             self._known_s = math.nan
         elif session.clock.is_known:
             self._known_s = now_s
+
+    def _go_on(self) -> None:
+        """Note that nothing is missing since the recording had stopped, if it had."""
+        if self._stop is not None:
+            self.found.stops.append(f"{self._stop[0]}, and went on: nothing is missing")
 
     def _compare(
         self, call: str, output: Output | None, error: Exception | None, remarks: list[Input]
