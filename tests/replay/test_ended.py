@@ -174,7 +174,10 @@ def test_what_a_recording_lacks_is_said_and_what_is_known_before_and_after_is_co
     run = killed_while_it_wrote(tmp_path / "run", until_s=40.0, again=True)
     whole = replayed(run)
     assert (whole.is_identical, whole.starts) == (True, 2)
+    entries = [x for x in (run / "journal.jsonl").read_bytes().splitlines() if b'"schema"' not in x]
+    recorded = len(recorded_frames(run / "flight.tlog")) + len(entries)
     assert whole.of_no_input > 0
+    assert whole.frames + whole.entries + whole.of_no_input == recorded
     rewritten(run, lost(run, 25.0, 35.0))
     found = replayed(run)
     assert (found.is_identical, found.starts) == (True, 2)
