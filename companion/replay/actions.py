@@ -2,6 +2,7 @@
 
 import json
 import sys
+from collections.abc import Callable, Iterable
 from importlib.metadata import version
 from itertools import count
 from pathlib import Path
@@ -13,8 +14,8 @@ from msgspec.structs import asdict
 from companion.config import load_mission
 from companion.errors import FlightFailed, InputError
 from companion.mavlink.link import Output
+from companion.replay.compare import Replay, replay_of_folder, replay_of_log
 from companion.replay.feed import flown_mission
-from companion.replay.reproduce import LogReplay, Replay
 from companion.replay.shadow import watch
 from companion.replay.shadow_report import renderables
 from companion.replay.what_if import what_if, what_if_table
@@ -35,11 +36,11 @@ def same_run(folder: Path, json_file: Path | None, *, plans: bool) -> None:
     mission_of = flown_mission(folder)
     if plans:
         _load_planner()
-    _compare(Replay(folder, mission_of, plans=plans), folder, json_file)
+    _compare(replay_of_folder(folder, mission_of, plans=plans), folder, json_file)
 
 
 def same_log(
-    log: Path,
+    path: Path,
     mission: str | None,
     profile: str | None,
     seed: int,
@@ -50,20 +51,26 @@ def same_log(
     if mission is None:
         rule = "a log alone does not say what the mission was"
         remedy = "Give the run folder, or --mission, or --shadow for another's flight."
-        raise InputError("RUN_DIR|LOG", str(log), rule, remedy)
+        raise InputError("RUN_DIR|LOG", str(path), rule, remedy)
     _load_planner()
-    flown = load_mission(mission, profile)
-    replay = LogReplay(log, flown, seed=seed, version=version("companion"), system_id=system)
-    _compare(replay, log, json_file)
+    flown, here = load_mission(mission, profile), version("companion")
+    replay, log = replay_of_log(path, flown, seed=seed, version=here, system_id=system)
+    _compare(replay, path, json_file, lambda: log.findings)
 
 
-def _compare(replay: Replay | LogReplay, flight: Path, json_file: Path | None) -> None:
+def _compare(
+    replay: Replay,
+    flight: Path,
+    json_file: Path | None,
+    findings: Callable[[], Iterable[str]] = tuple,
+) -> None:
+    """findings: what was odd about a log, once it is read."""
     console, found = plain_console(soft_wrap=True, highlight=False), replay.found
     with plain_console(stderr=True).status("replaying") as status, prompt_threads():
         for _ in replay.steps():
             if found.inputs % _SHOWN_EVERY == 0:
                 status.update(f"replaying {found.now_s:,.0f} s")
-    for finding in replay.inputs.findings if isinstance(replay, LogReplay) else ():
+    for finding in findings():
         console.print(f"note: {finding}")
     differs = found.difference is not None
     if found.frames + found.entries or differs:
@@ -103,14 +110,13 @@ def changed(
 
 def shadow(flight: Path, mission: str | None, system: int | None, json_file: Path | None) -> None:
     """Run in shadow mode on a log, or on that of a run folder."""
-    console = plain_console(soft_wrap=True)
+    console, given = plain_console(soft_wrap=True), count()
     if flight.is_dir():
         flight = file_of_run(flight, "flight.tlog", "RUN_DIR|LOG")
     chosen = None if mission is None else load_mission(mission)
     if chosen is not None:
         _load_planner()
     with plain_console(stderr=True).status("watching") as status:
-        given = count()
 
         def show(at_s: float, _: Output) -> None:
             if next(given) % _SHOWN_EVERY == 0:

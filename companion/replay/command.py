@@ -12,6 +12,14 @@ from companion.views.output import plain_console
 
 ProfileName = Literal["flight", "paper"]
 """Profiles of the planner."""
+_TAKES: Final = {
+    "a shadow (--shadow)": ("--shadow", "--mission", "--system", "--json"),
+    "what if (--set, --seed, --profile)": ("--set", "--seed", "--profile", "--json"),
+    "the replay of a log alone": ("--mission", "--seed", "--profile", "--system", "--json"),
+    "the replay of a run folder": ("--plans", "--json"),
+}
+"""What can be done with a flight, and the options of each."""
+_SHADOW, _WHAT_IF, _LOG, _RUN = _TAKES
 
 
 def replay_command(
@@ -65,48 +73,32 @@ def replay_command(
         remedy = "Give a run folder, or a .tlog, .bin or .ulg."
         raise InputError("RUN_DIR|LOG", str(flight), "there is no such file or folder", remedy)
     is_log = not flight.is_dir() and not settings  # then it has to be said how it was flown
+    changes = settings or seed is not None or profile
+    way = _SHADOW if shadow else _LOG if is_log else _WHAT_IF if changes else _RUN
+    _refuse_others(context, way)
     from companion.replay import actions  # so that `companion fly` starts without it
 
-    if shadow:
-        _refuse_others(context, _SHADOW)
+    if way == _SHADOW:
         actions.shadow(flight, mission, system, json_file)
-    elif is_log:
-        _refuse_others(context, _LOG)
-        seed = 1 if seed is None else seed
-        actions.same_log(flight, mission, profile, seed, system, json_file)
-    elif settings or seed is not None or profile:
-        _refuse_others(context, _WHAT_IF)
+    elif way == _LOG:
+        actions.same_log(flight, mission, profile, 1 if seed is None else seed, system, json_file)
+    elif way == _WHAT_IF:
         actions.changed(flight, settings or [], seed, profile, json_file)
     else:
-        _refuse_others(context, _RUN)
         actions.same_run(flight, json_file, plans=plans)
-
-
-_SHADOW: Final = "a shadow (--shadow)"
-_WHAT_IF: Final = "what if (--set, --seed, --profile)"
-_LOG: Final = "the replay of a log alone"
-_RUN: Final = "the replay of a run folder"
-_TAKES: Final = {
-    _SHADOW: ("--shadow", "--mission", "--system", "--json"),
-    _WHAT_IF: ("--set", "--seed", "--profile", "--json"),
-    _LOG: ("--mission", "--seed", "--profile", "--system", "--json"),
-    _RUN: ("--plans", "--json"),
-}
-"""What can be done with a flight, and the options of each."""
 
 
 def _refuse_others(context: typer.Context, way: str) -> None:
     """No option is passed over silently."""
     for each in context.command.params:
-        source = context.get_parameter_source(each.name or "")
-        option = max(each.opts, key=len)
-        if source is None or source.name != "COMMANDLINE" or option in _TAKES[way]:
-            continue
-        if each.param_type_name == "option":
-            rule = f"{way} does not take it"
-            remedy = f"Leave it out. It takes {', '.join(_TAKES[way])}."
-            value = context.params[each.name or ""]
-            raise InputError(option, value if type(value) is bool else str(value), rule, remedy)
+        source, option = context.get_parameter_source(each.name or ""), max(each.opts, key=len)
+        given = source is not None and source.name == "COMMANDLINE"
+        if given and each.param_type_name == "option" and option not in _TAKES[way]:
+            value, takes = context.params[each.name or ""], ", ".join(_TAKES[way])
+            shown = value if type(value) is bool else str(value)
+            raise InputError(
+                option, shown, f"{way} does not take it", f"Leave it out. It takes {takes}."
+            )
 
 
 # --- export: for Google Earth, QGIS and spreadsheets

@@ -23,10 +23,8 @@ from companion.sources.files import file_of_run
 from companion.telemetry.inputs import FILE, InputsFile
 from companion.world.known_map import unpacked_map
 
-RUNTIME_RECORDS: Final = frozenset({"unsent", "raised", "held"})
-"""Records about a session and its output, which are not fed to the session."""
 _Seconds = Annotated[float, Meta(ge=-1e300, le=1e300)]
-_ARGUMENTS: Final[dict[str, Any]] = {
+_CALLS: Final[dict[str, Any]] = {
     "receive": tuple[bytes, _Seconds | None],
     "run": tuple[()],
     "silence": tuple[_Seconds],
@@ -37,8 +35,17 @@ _ARGUMENTS: Final[dict[str, Any]] = {
     "part_died": tuple[str, str],
     "farewell": tuple[()],
 }
-"""The calls of a session that are inputs."""
-SESSION_CALLS: Final = frozenset(_ARGUMENTS)
+"""The calls of a session that are inputs, and their arguments."""
+_REMARKS: Final[dict[str, Any]] = {
+    "unsent": tuple[list[int]],
+    "raised": tuple[str, str],
+    "held": tuple[int],
+}
+"""What the runtime records about a session and its output; it is not fed to the session."""
+SESSION_CALLS: Final = frozenset(_CALLS)
+RUNTIME_RECORDS: Final = frozenset(_REMARKS)
+_NOT_RECORDED: Final = "not recorded any more: "
+"""So the runtime complains once a disk fails or stands still (`runtime.loop`)."""
 MissionOf = Callable[[Start], Mission]
 """The mission that a session flew: by its profile, from wherever it is kept."""
 
@@ -72,16 +79,14 @@ class Feeder:
             self._session = None
             self._session = _session_of(start_of(told), self._mission_of)
             return None
-        session, (call, *given) = self.session, told
-        if call in RUNTIME_RECORDS:
+        if (why := why_not_recorded(told)) is not None:
+            told = "complain", f"{_NOT_RECORDED}{why}"
+        session, arguments = self.session, arguments_of(told)
+        if told[0] in RUNTIME_RECORDS:
             return None
-        try:
-            arguments = msgspec.convert(given, _ARGUMENTS.get(call))
-        except msgspec.ValidationError as error:
-            raise DamagedInputError(f"an input that is none ({call!r:.40})") from error
-        if call == "deliver":
+        if told[0] == "deliver":
             arguments = (answer_of(told),)
-        output = getattr(session, call)(*arguments)
+        output = getattr(session, told[0])(*arguments)
         return output if isinstance(output, Output) else None
 
 
@@ -123,6 +128,30 @@ def flown_mission(folder: Path) -> MissionOf:
     with suppress(DamagedInputError):  # is found again, at its place
         mission_of(start_of(next(iter(InputsFile(folder / FILE)), ())))
     return mission_of
+
+
+def arguments_of(told: Input) -> tuple[Any, ...]:
+    """The arguments of a call, or what a remark says.  DamagedInputError: it is neither."""
+    call, *given = told
+    try:
+        arguments: tuple[Any, ...] = msgspec.convert(given, (_CALLS | _REMARKS).get(call))
+    except msgspec.ValidationError as error:
+        raise DamagedInputError(f"an input that is none ({call!r:.40})") from error
+    return arguments
+
+
+def why_not_recorded(told: Input) -> str | None:
+    """Why the recording had stopped, if this input says so: the disk failed, or stood still.
+
+    It was an input of its own in builds before 0.3.0.
+    """
+    match told:
+        case "recording_stopped", str(why):
+            return why
+        case "complain", str(text) if text.startswith(_NOT_RECORDED):
+            return text.removeprefix(_NOT_RECORDED)
+        case _:
+            return None
 
 
 def start_of(told: Input) -> Start:

@@ -17,11 +17,11 @@ from typing import Final, NamedTuple, final
 
 from companion.errors import InputError
 from companion.geodesy import LocalFrame, deg
-from companion.mavlink.autopilots import FIRMWARES, NAMES, Autopilot, autopilot_of, described
+from companion.mavlink.autopilots import NAMES, Autopilot, autopilot_of, described
 from companion.mavlink.autopilots.messages import NOWHERE_DEG
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, KINDS, Message, wire
-from companion.mavlink.frames import boot_ms_of, decoded, number_of, payload_of, sender_of
-from companion.mavlink.link import TO_COMPONENT_1, ClockReading, Output, VehicleClock, ids_in_words
+from companion.mavlink.frames import decoded, number_of, payload_of, sender_of
+from companion.mavlink.link import TIME_ONLY_MESSAGES, TO_COMPONENT_1, Output, ids_in_words
 from companion.mavlink.signing import strip_signature
 from companion.mission.mission import EndAction, Mission
 from companion.path.limits import Limits
@@ -37,13 +37,7 @@ HEARTBEAT: Final = wire.MAVLINK_MSG_ID_HEARTBEAT
 POSITION: Final = wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 GPS: Final = wire.MAVLINK_MSG_ID_GPS_RAW_INT
 STATUSTEXT: Final = wire.MAVLINK_MSG_ID_STATUSTEXT
-_CLOCKS: Final = frozenset(
-    {
-        wire.MAVLINK_MSG_ID_ATTITUDE,
-        wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
-        wire.MAVLINK_MSG_ID_SYSTEM_TIME,
-    }
-)
+_CLOCKS: Final = TIME_ONLY_MESSAGES | {wire.MAVLINK_MSG_ID_SYSTEM_TIME}
 """They only tell the time: needed where there is no position to tell it."""
 LISTENED: Final = frozenset(
     {
@@ -56,22 +50,21 @@ LISTENED: Final = frozenset(
         wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
         wire.MAVLINK_MSG_ID_PARAM_VALUE,
         wire.MAVLINK_MSG_ID_FENCE_STATUS,
-        *(each.all_is_well().get_msgId() for each in FIRMWARES),
+        wire.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
+        wire.MAVLINK_MSG_ID_ESTIMATOR_STATUS,
     }
 )
-"""Of the autopilot, besides the clocks.  Shadow mode needs neither battery nor setpoint echoes."""
-_QUIET_S: Final = 0.2  # less is no silence
+"""Of the autopilot, besides the clocks.  Shadow mode needs neither battery nor setpoint echoes, and
+what the autopilot answered to others is no answer to it."""
 _LOOKS_S: Final = (3.0, 10.0, 30.0, 600.0)  # when a silence means something to the session
-_TICK_S: Final = 0.1
 _OVERDUE: Final = 3.0  # usual periods without a position, before the clock goes on without one
 _PERIODS: Final = 21
 _FEW: Final = 5
 _FIRST_OVERDUE_S: Final = 3.0  # until so many are known
 _LONGEST_PERIOD_S: Final = 5.0
 _SLOW_HZ: Final = 6.0  # positions that come less often: some are taken for late that are not
-_STAND_IN_AFTER_S: Final = 10.0
-_STAND_IN_S: Final = 1.0
 _TYPE_AT: Final = 4  # in the payload of HEARTBEAT
+_LOOKED_AT: Final = (HEARTBEAT, POSITION, GPS)
 
 
 def watch(
@@ -114,7 +107,7 @@ def watch(
         watching.on_record(record)
     watching.finish()
     report.missing, report.log_findings = log.missing(), log.findings
-    report.could_not = list(_could_not(chosen, watching, report))
+    report.could_not = list(_could_not(chosen, report))
     return report
 
 
@@ -137,26 +130,23 @@ def _look(log: Log) -> _Look:
     """
     heartbeat: Message | None = None
     autopilot: Autopilot | None = None
-    first: tuple[float, float] | None = None
     place: tuple[float, float] | None = None
-    fix = False
+    fix = believed = False
     for record in log.records():
         number, sender = number_of(record.frame), sender_of(record.frame)
-        if number not in (HEARTBEAT, POSITION, GPS):
-            continue
-        if sender != (log.system_id, AUTOPILOT_COMPONENT):
+        if sender != (log.system_id, AUTOPILOT_COMPONENT) or number not in _LOOKED_AT:
             continue
         message = decoded(strip_signature(record.frame), KINDS[number])
         if number == HEARTBEAT and autopilot is None:
             heartbeat, autopilot = message, autopilot_of(message)  # while it boots it is of no kind
         elif number == GPS:
             fix = message.fix_type >= wire.GPS_FIX_TYPE_3D_FIX
-        elif number == POSITION and _is_a_place(deg(message.lat), deg(message.lon)):
+        elif number == POSITION and not believed and (fix or place is None):
             here = deg(message.lat), deg(message.lon)
-            first, place = first or here, here if fix else place
-        if autopilot is not None and place is not None:
+            if _is_a_place(*here):
+                place, believed = here, fix
+        if autopilot is not None and believed:
             break
-    place = place or first
     if heartbeat is None:
         raise _of_no_use(log, "HEARTBEAT")
     if autopilot is None:  # whatever else it lacks
@@ -237,7 +227,7 @@ def _health_alone(look: _Look) -> Mission:
 
 @final
 class Watch:
-    """Shadow mode for one vehicle of a log, with a new session after each reboot or silence."""
+    """Feeds the vehicle's frames to a session; after a gap or an end, to a new one."""
 
     def __init__(
         self,
@@ -252,39 +242,28 @@ class Watch:
         self._modes = look.autopilot.modes
         self._vehicle = look.heartbeat.get_srcSystem(), AUTOPILOT_COMPONENT
         self._session: Session | None = None
-        self._clock = VehicleClock(0.0)
         self._at_s = 0.0
         """Of the newest record, since the first one."""
         self._heard_s: float | None = None
-        self._clock_s = 0.0
         self._mode, self._armed = -1, False
-        self._position_s: float | None = None
+        self._position_s = -math.inf
         self._periods: deque[float] = deque(maxlen=_PERIODS)
-        self._overdue_s = _FIRST_OVERDUE_S
         self._positions = 0
         self._positions_s = 0.0  # between all positions, without the gaps
-        self.stood_in_s: dict[str, float] = {}
-        """Messages that were taken to be good because there are none, and since when."""
-        self._stand_ins = _all_is_well(self._vehicle[0], look.autopilot)
-        self._stand_in_due_s: float | None = None
 
     def on_record(self, record: Record) -> None:
         """The next frame of the log, of any sender."""
         frame, report = record.frame, self._notes.report
-        if report.began_us is None:
-            report.began_us = record.time_us
-        self._at_s = (record.time_us - report.began_us) * 1e-6
-        number = number_of(frame)
+        report.began_us = record.time_us if report.began_us is None else report.began_us
+        self._at_s, number = (record.time_us - report.began_us) * 1e-6, number_of(frame)
         if sender_of(frame) != self._vehicle:
             return
-        self._hear_again()
+        if self._heard_s is not None and self._at_s - self._heard_s >= _LOOKS_S[0]:
+            self._not_heard_since(self._heard_s)
+        self._heard_s = self._at_s
         if number == HEARTBEAT and payload_of(frame, 9)[_TYPE_AT] == wire.MAV_TYPE_GENERIC:
             return  # while it boots, it does not say of which kind it is
-        boot_ms = boot_ms_of(frame, number)  # looked at also while no session could tell
-        read = None if boot_ms is None else self._clock.read(boot_ms * 1e-3, self._at_s)
-        if read is ClockReading.REBOOTED:
-            self._notes.saw("the autopilot has rebooted", self._at_s, self._at_s)
-        if number in LISTENED or (number in _CLOCKS and self._tells_time()):
+        if number in LISTENED or (number in _CLOCKS and self._is_overdue()):
             self._look_at(frame, number)
             if number == POSITION:
                 self._on_position()
@@ -295,84 +274,52 @@ class Watch:
         report = self._notes.report
         report.length_s = self._at_s
         if self._heard_s is not None and self._log.kind == "tlog":
-            self._be_silent(self._heard_s)
-        if self._session is not None:
-            self._run(self._session, self._at_s)
+            self._not_heard_since(self._heard_s)
         if self._positions_s > 0.0:
             report.position_rate_hz = self._positions / self._positions_s
         self._notes.finish()
 
     # --- time
 
-    def _tells_time(self) -> bool:
-        """Whether a message that only tells the time is needed: positions tell it as well."""
-        if self._position_s is not None and self._at_s - self._position_s < self._overdue_s:
-            return False
-        if self._at_s - self._clock_s < _TICK_S:
-            return False
-        self._clock_s = self._at_s
-        return True
+    def _is_overdue(self) -> bool:
+        """Whether a position is missing: until then, what only tells the time is not needed."""
+        overdue_s = _FIRST_OVERDUE_S
+        if len(self._periods) >= _FEW:
+            overdue_s = _OVERDUE * median(self._periods)
+        return self._at_s - self._position_s >= overdue_s
 
     def _on_position(self) -> None:
-        at_s, before_s = self._at_s, self._position_s
-        self._position_s = self._clock_s = at_s
+        period_s, self._position_s = self._at_s - self._position_s, self._at_s
         self._positions += 1
-        if before_s is not None and at_s - before_s < _LONGEST_PERIOD_S:
-            self._periods.append(at_s - before_s)
-            self._positions_s += at_s - before_s
-            if len(self._periods) >= _FEW:
-                self._overdue_s = _OVERDUE * median(self._periods)
-        if self._stand_in_due_s is None:
-            self._stand_in_due_s = at_s + _STAND_IN_AFTER_S
-        if at_s >= self._stand_in_due_s:
-            self._stand_in_due_s = at_s + _STAND_IN_S
-            for number, frame in self._stand_ins.items():
-                if number not in self._log.heard:
-                    self.stood_in_s.setdefault(KINDS[number].msgname, at_s)
-                    self._feed(frame)
+        if period_s < _LONGEST_PERIOD_S:
+            self._periods.append(period_s)
+            self._positions_s += period_s
 
-    def _hear_again(self) -> None:
-        """The autopilot is heard, after whatever time."""
-        at_s, before_s = self._at_s, self._heard_s
-        self._heard_s = at_s
-        if before_s is None or at_s - before_s < _QUIET_S:
-            return
-        is_long = at_s - before_s >= _LOOKS_S[0]
-        if self._log.kind == "tlog":
-            self._be_silent(before_s)
-            if is_long:
-                self._notes.heard_again(at_s)
-        elif is_long:  # written aboard: it was not writing
-            self._notes.not_recorded(before_s, at_s)
+    def _not_heard_since(self, since_s: float) -> None:
+        """The link was silent, up to now; or a log that is written aboard was not written."""
+        if self._log.kind != "tlog":
+            self._notes.not_recorded(since_s, self._at_s)
             self._session = None
-
-    def _be_silent(self, since_s: float) -> None:
-        """Nothing has been heard of the autopilot since then."""
-        silent_s = self._at_s - since_s
-        looks_s = [each for each in _LOOKS_S if each < silent_s]
-        for look_s in looks_s:
-            if self._session is not None:
+        for look_s in _LOOKS_S:
+            if self._session is not None and since_s + look_s < self._at_s:
                 self._session.silence(look_s)
-                self._run(self._session, since_s + look_s)
-        if self._session is not None and not looks_s:
-            self._session.silence(silent_s)
+                self._run(self._session, since_s + look_s, silent_from_s=since_s)
 
     # --- the session
 
     def _feed(self, frame: bytes) -> None:
         if (session := self._session) is None:
-            session = Session(self._mission, seed=1, lockstep=False, shadow=True)
-            self._session = session
+            session = self._session = Session(self._mission, seed=1, lockstep=False, shadow=True)
             self._notes.begin_again()
         session.receive(frame, self._at_s)
         self._run(session, self._at_s)
 
-    def _run(self, session: Session, at_s: float) -> None:
+    def _run(self, session: Session, at_s: float, silent_from_s: float | None = None) -> None:
         """Note what the session makes of what it was told, and of the plans that it asks for."""
         while True:
             out = session.run()
             self._on_output(at_s, out)
-            self._notes.on_output(at_s, session, out.journal)
+            self._notes.on_output(at_s, session, out.journal, silent_from_s)
             if out.plan is None:
                 break
             try:
@@ -386,50 +333,35 @@ class Watch:
 
     def _look_at(self, frame: bytes, number: int) -> None:
         """What the vehicle does and says by itself."""
-        if number == HEARTBEAT:
-            beat = decoded(strip_signature(frame), wire.MAVLink_heartbeat_message)
-            if beat.custom_mode != self._mode:
-                self._mode = beat.custom_mode
-                self._notes.say(self._at_s, f"mode {self._modes.name_of(self._mode)}")
-            armed = bool(beat.base_mode & wire.MAV_MODE_FLAG_SAFETY_ARMED)
-            if armed is not self._armed:
-                self._notes.say(self._at_s, "armed" if armed else "disarmed")
-                self._armed = armed
-        elif number == STATUSTEXT:
-            text = decoded(strip_signature(frame), wire.MAVLink_statustext_message)
-            if text.severity <= wire.MAV_SEVERITY_WARNING:
-                self._notes.say(self._at_s, f"“{text.text}”")
+        if number not in (HEARTBEAT, STATUSTEXT):
+            return
+        message, say = decoded(strip_signature(frame), KINDS[number]), self._notes.say
+        if number == STATUSTEXT:
+            if message.severity <= wire.MAV_SEVERITY_WARNING:
+                say(self._at_s, f"“{message.text}”")
+            return
+        if message.custom_mode != self._mode:
+            self._mode = message.custom_mode
+            say(self._at_s, f"mode {self._modes.name_of(self._mode)}")
+        if (armed := bool(message.base_mode & wire.MAV_MODE_FLAG_SAFETY_ARMED)) is not self._armed:
+            self._armed = armed
+            say(self._at_s, "armed" if armed else "disarmed")
 
 
-def _all_is_well(system_id: int, autopilot: Autopilot) -> dict[int, bytes]:
-    """Frames by message number that report a good GPS and estimator, for logs without them."""
-    codec = wire.MAVLink(None, srcSystem=system_id, srcComponent=AUTOPILOT_COMPONENT)
-    fix = wire.MAVLink_gps_raw_int_message(
-        0, wire.GPS_FIX_TYPE_3D_FIX, 0, 0, 0, 65535, 65535, 65535, 65535, 255
-    )
-    sure = autopilot.firmware.all_is_well()
-    return {each.get_msgId(): bytes(each.pack(codec)) for each in (fix, sure)}
-
-
-def _could_not(mission: Mission, watching: Watch, report: ShadowReport) -> Iterator[str]:
+def _could_not(mission: Mission, report: ShadowReport) -> Iterator[str]:
     """What shadow mode could not do on this log, beside that for which messages are missing."""
-    if names := " and ".join(watching.stood_in_s):
-        since_s = min(watching.stood_in_s.values())
-        yield (
-            f"tell whether the position is to be believed: {names} missing: taken to be good from "
-            f"{since_s:.0f} s on (in flight it would not have begun). {HOW_TO_RECORD}"
-        )
-    if report.position_rate_hz is not None and report.position_rate_hz < _SLOW_HZ:
+    rate_hz, known = report.position_rate_hz, mission.known
+    if rate_hz is not None and rate_hz < _SLOW_HZ:
         yield (
             "tell in time that a position is missing: GLOBAL_POSITION_INT comes at "
-            f"{report.position_rate_hz:.1f} Hz. Record it at {_SLOW_HZ:g} Hz or more"
+            f"{rate_hz:.1f} Hz. Record it at {_SLOW_HZ:g} Hz or more"
         )
     if mission.targets_from_vehicle:
         yield (
             "plan to the targets of the vehicle's own mission: a log does not answer questions: "
             "MISSION_ITEM_INT is not heard. Give a mission with [[targets]]"
         )
-    if report.plans and (mission.known is None or not mission.known.surveyed.any()):
+    if report.plans and (known is None or not known.surveyed.any()):
         yield (
             "plan as it would: a log does not answer scans: nothing is known of the ground. Give "
             "the mission [terrain]: an elevation file, or highest_amsl_m"

@@ -1,6 +1,8 @@
-"""Observes the session in shadow mode and notes what it would have done."""
+"""What a session in shadow would have done, noted as it is fed: holds, plans, health."""
 
 import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from typing import Final, final
 
 import numpy as np
@@ -27,6 +29,8 @@ _EVER: Final = -1e8  # before that: not heard of yet
 _BEGINS: Final = "it begins to watch"
 _SILENCE: Final = "silence"
 _AT_END_M: Final = 1.0
+_OFF, _REACHED = "shadow: the vehicle is ", "shadow: target reached"
+"""How texts of the mission machine begin that say why it leaves a path."""
 _DOUBTS: Final = {
     Reason.POSITION_STALE: "no position",
     Reason.POSITION_FROZEN: "position stands still",
@@ -40,190 +44,179 @@ plan's result is reported separately."""
 
 
 @final
+@dataclass(slots=True, kw_only=True)
+class _Asked:
+    """A plan that was asked for, and how far the flown track was from it."""
+
+    attempt: PlanAttempt
+    points: SubpathPoints | None = None
+    off_m: list[tuple[float, float]] = field(default_factory=list)
+    """When, and how far."""
+
+
+@final
 class Notes:
-    """The notes of one flight in shadow mode."""
+    """The notes of one log."""
 
     def __init__(self, report: ShadowReport, frame: LocalFrame) -> None:
         """report: what is noted goes there."""
         self.report = report
         self._frame, self._has_mission = frame, report.mission is not None
         self._vehicle = Vehicle()
+        self._heard_s: float | None = None
+        """When it was last heard, unless it has been silent since."""
+        self._in_air: bool | None = None
+        self._had_fix = False
         self._spans: dict[str, Observed] = {}
         """What is observed now, by its kind."""
-        self._outside: dict[str, float | None] = {}
+        self._outside: dict[str, float] = {}
         """Limits of the mission that it is beyond, by how much: at the last position believed."""
-        self._had_fix = False
-        self._was_in_air: bool | None = None
-        self._at_s: float | None = None
         self._is_ready = False
         """Whether it could fly: the position was to be believed, since this session has begun."""
         self._hold: Hold | None = None
-        self._plans: dict[int, PlanAttempt] = {}
-        """Of this session since the last hold, by their numbers."""
+        self._position: tuple[float, Vector | None] | None = None
+        """The last one that was looked at, and its vehicle time."""
+        self._every: list[_Asked] = []
+        self._asked: dict[int, _Asked] = {}
+        """Those of this session since the last hold, by their numbers."""
+        self._followed: _Asked | None = None
+        """What the flown track is compared with."""
         self._cause = _BEGINS
         """Why the next plan from rest is asked for."""
-        self._path: tuple[PlanAttempt, SubpathPoints] | None = None
-        """What the flown track is compared with."""
-        self._offs: dict[int, list[tuple[float, float]]] = {}
-        """Of each plan, by its identity: when, and how far off."""
-        self._target = 0
-        self._looked_at: Vehicle | None = None
-        """The vehicle when it last had a new position."""
+
+    # --- what the log tells
 
     def begin_again(self) -> None:
         """A new session begins."""
-        self._plans, self._path, self._looked_at, self._target = {}, None, None, 0
-
-    def heard_again(self, at_s: float) -> None:
-        """The vehicle was heard after a silence."""
-        if (silence := self._spans.pop(_SILENCE, None)) is not None:
-            silence.until_s = at_s
-        self._at_s = at_s
+        self._asked, self._followed, self._position = {}, None, None
 
     def not_recorded(self, from_s: float, until_s: float) -> None:
         """The log has a gap, and another session begins: nothing in progress goes on."""
-        self._end_all(from_s)
-        self.saw("not recorded", from_s, until_s)
-        self._at_s, self._was_in_air, self._hold, self._is_ready = until_s, None, None, False
+        self._outside = {}
+        self._observe(from_s, set())
+        self._saw("not recorded", from_s, until_s)
+        self._heard_s, self._in_air, self._hold, self._is_ready = until_s, None, None, False
         self._cause = _BEGINS
-
-    def saw(
-        self,
-        kind: str,
-        from_s: float,
-        until_s: float | None = None,
-        worst_m: float | None = None,
-        to: list[Observed] | None = None,
-    ) -> Observed:
-        """Note something where the vehicle is now.  to: a list of the report, else its health."""
-        seen = Observed(
-            kind=kind,
-            from_s=from_s,
-            until_s=until_s,
-            in_air=is_in_air(self._vehicle),
-            worst_m=worst_m,
-            place=self._place(self._vehicle.position_nea_m),
-        )
-        (self.report.health if to is None else to).append(seen)
-        return seen
 
     def say(self, at_s: float, text: str) -> None:
         """The vehicle has done or said something."""
         self.report.said.append(VehicleReport(at_s=at_s, text=text))
 
-    def on_output(self, at_s: float, session: Session, entries: list[journal.Told]) -> None:
-        """The session has been run.  at_s: of the log."""
-        state = session.state
+    def on_output(
+        self,
+        at_s: float,
+        session: Session,
+        entries: list[journal.Told],
+        silent_from_s: float | None = None,
+    ) -> None:
+        """The session has been run.  at_s: of the log.
+
+        silent_from_s: the vehicle has been silent since then: what it was is not known to go on.
+        """
+        state, silent = session.state, silent_from_s is not None
         self._vehicle = vehicle = state.vehicle
         for values in entries:
             self._on_entry(at_s, journal.entry_of(values), session)
-        if _SILENCE in self._spans:  # what it was when it was last heard is not known to go on
-            self._on_hold(at_s, state)
+        self._look_for_a_hold(at_s, state, silent=silent)
+        if silent_from_s is not None:
+            self._outside, self._heard_s = {}, None
+            self._observe(silent_from_s, {_SILENCE})
             return
         in_air = is_in_air(vehicle)
-        if self._at_s is not None and in_air:
-            self.report.in_air_s += at_s - self._at_s
-        self._at_s = at_s
-        if in_air is not self._was_in_air:
-            if self._was_in_air is not None or in_air:
-                self.say(at_s, "in the air" if in_air else "on the ground")
-            self._was_in_air = in_air
-        self._on_hold(at_s, state)
-        before = self._looked_at
-        if self._is_ready and (before is None or vehicle.position_at_s != before.position_at_s):
-            self._looked_at = vehicle
-            self._on_position(at_s, before, state)
-        self._observe(at_s)
+        if in_air and self._heard_s is not None:
+            self.report.in_air_s += at_s - self._heard_s
+        if in_air is not self._in_air and (self._in_air is not None or in_air):
+            self.say(at_s, "in the air" if in_air else "on the ground")
+        self._heard_s, self._in_air = at_s, in_air
+        position = vehicle.position_at_s, vehicle.position_nea_m
+        if self._is_ready and (self._position is None or self._position[0] != position[0]):
+            before, self._position = self._position, position
+            self._on_position(at_s, None if before is None else before[1], state)
+        self._observe(at_s, set(self._odd_now()))
 
     def finish(self) -> None:
-        """The log has ended: put together what was noted piece by piece."""
+        """The log has ended."""
         report = self.report
-        for asked in report.plans:
-            if rows := self._offs.get(id(asked)):
-                asked.off = TrackDeviation.of(rows)
-        if all_rows := [row for rows in self._offs.values() for row in rows]:
-            report.own_path = TrackDeviation.of(all_rows)
+        for asked in self._every:
+            asked.attempt.off = TrackDeviation.of(asked.off_m)
+        report.own_path = TrackDeviation.of([each for asked in self._every for each in asked.off_m])
         for seen in (report.health, report.outside):
             seen.sort(key=lambda each: each.from_s)
 
     # --- what it would have done
 
-    def _on_hold(self, at_s: float, state: State) -> None:
+    def _look_for_a_hold(self, at_s: float, state: State, *, silent: bool) -> None:
         """Note where a hold begins and ends."""
-        watching, hold = state.phase is Phase.SHADOW, self._hold
+        watching, hold = state.phase is Phase.SHADOW and not silent, self._hold
         reason = state.reason if watching and state.reason in _DISTRUST else None
         if not self._is_ready:
             self._is_ready = watching and reason is None
             if self._is_ready and self.report.watched_from_s is None:
                 self.report.watched_from_s = at_s
             return
-        silent = _SILENCE in self._spans
         if silent:
             reason = Reason.LINK_LOST
         elif not watching:  # it prepares again, or another session does
-            reason = state.reason or Reason.REBOOTED
-            reason = reason if hold is None else Reason[hold.why[-1].code]
+            reason = Reason[hold.why[-1].code] if hold else state.reason or Reason.REBOOTED
         if reason is None:
             if hold is not None:
-                hold.went_on_s = at_s
-                hold.trusted_s = at_s if hold.trusted_s is None else hold.trusted_s
+                hold.went_on_s, hold.trusted_s = at_s, hold.trusted_s or at_s
                 self._hold, self._cause = None, f"it goes on after: {hold.why[0].text}"
             return
         if hold is None:
-            for asked in self._plans.values():
-                if asked.outcome == "unanswered":
-                    asked.outcome = "given up"
-            self._plans, self._path = {}, None
-            hold = self._hold = Hold(
-                let_go_s=at_s,
-                vehicle_s=state.now_s,
-                why=[],
-                place=self._place(state.vehicle.position_nea_m),
-                in_air=is_in_air(state.vehicle),
-            )
+            for asked in self._asked.values():
+                if asked.attempt.outcome == "unanswered":
+                    asked.attempt.outcome = "given up"
+            self._asked, self._followed = {}, None
+            place, in_air = self._place(state.vehicle.position_nea_m), is_in_air(state.vehicle)
+            hold = Hold(let_go_s=at_s, why=[], place=place, in_air=in_air)
+            self._hold = hold
             self.report.holds.append(hold)
         if not hold.why or hold.why[-1].code != reason.name:
             why = HoldReason(at_s=at_s, code=reason.name, text=reason.text, remedy=reason.remedy)
             hold.why.append(why)
-        trusted = watching and not silent and state.vehicle.distrust is None
+        trusted = watching and state.vehicle.distrust is None
         hold.trusted_s = (hold.trusted_s or at_s) if trusted else None
 
     def _on_entry(self, at_s: float, entry: journal.Entry, session: Session) -> None:
         match entry:
+            case events.StatusText(text=text) if text.startswith(_OFF):
+                self._cause = text.removeprefix(_OFF)
+            case events.StatusText(text=text) if text == _REACHED:
+                self._cause = "on to the next target"
             case journal.PlanAsked(plan_id=plan_id, from_rest=from_rest):
-                asked = self._plans[plan_id] = PlanAttempt(
+                attempt = PlanAttempt(
                     plan_id=plan_id,
                     at_s=at_s,
                     place=self._place(entry.scan_nea_m),
                     why=self._cause if from_rest else "the next subpath",
                     goes_on=not from_rest,
                 )
-                self.report.plans.append(asked)
-            case journal.PlanReady() if entry.plan_id in self._plans:
-                asked = self._plans[entry.plan_id]
-                asked.outcome, asked.length_m = "ready", entry.length_m
-                asked.reaches_target = entry.reaches_target
+                self._cause = "the subpath has ended"
+                self._asked[plan_id] = _Asked(attempt=attempt)
+                self._every.append(self._asked[plan_id])
+                self.report.plans.append(attempt)
+            case journal.PlanReady() if (asked := self._asked.get(entry.plan_id)) is not None:
+                asked.points, asked.attempt.outcome = SubpathPoints(entry.subpath), "ready"
+                asked.attempt.length_m = entry.length_m
+                asked.attempt.reaches_target = entry.reaches_target
                 if entry.certificate.proven:
-                    asked.clearance_m = entry.certificate.clearance_m
-                if self._path is None or not asked.goes_on:
-                    self._path = asked, SubpathPoints(entry.subpath)
-            case journal.PlanRefused(plan_id=plan_id, reason=reason):
+                    asked.attempt.clearance_m = entry.certificate.clearance_m
+            case journal.PlanRefused(reason=reason):
                 self._cause = "the last was refused"
-                if plan_id in self._plans:
-                    asked = self._plans[plan_id]
-                    asked.outcome, asked.reason = "refused", reason
-                    asked.remedy = Refusal[reason].value
-                    if not asked.goes_on:  # the vehicle had left the last path long before
-                        self._path = None
-            case events.LinkLost(silent_s=silent_s) if _SILENCE not in self._spans:
-                self._end_all(at_s - silent_s)
-                self._spans[_SILENCE] = self.saw(_SILENCE, at_s - silent_s)
+                if (asked := self._asked.get(entry.plan_id)) is not None:
+                    asked.attempt.outcome, asked.attempt.reason = "refused", reason
+                    asked.attempt.remedy = Refusal[reason].value
+                    if not asked.attempt.goes_on:  # the vehicle had left the last path long before
+                        self._followed = None
+            case events.Rebooted():
+                self._saw("the autopilot has rebooted", at_s, at_s)
             case events.Prepared(item=item, refusal=refusal):
                 if item is not Item.PARAMETERS and refusal:
-                    self._judge(f"would have refused the flight: {refusal}")
+                    self._note(f"would have refused the flight: {refusal}")
                 self._judge_parameters(session)
             case events.End(reason=reason) if self._is_ready:
-                self.report.notes.append(f"gave up watching at {at_s:,.1f} s: {reason}")
+                self._note(f"gave up watching at {at_s:,.1f} s: {reason}")
 
     def _judge_parameters(self, session: Session) -> None:
         """Those that are known: of the others the log says nothing, and nobody can be asked."""
@@ -231,83 +224,76 @@ class Notes:
             return
         for finding in session.vehicle.findings:
             if finding.value is not None and finding.set_to is not None:
-                self._judge(f"would have set {finding.name} to {finding.set_to:g}: {finding.rule}")
+                self._note(f"would have set {finding.name} to {finding.set_to:g}: {finding.rule}")
             elif finding.value is not None:
-                self._judge(f"would have refused the flight: {finding}")
+                self._note(f"would have refused the flight: {finding}")
 
-    def _judge(self, text: str) -> None:
+    def _note(self, text: str) -> None:
         if text not in self.report.notes:
             self.report.notes.append(text)
 
     # --- what it has seen
 
-    def _on_position(self, at_s: float, before: Vehicle | None, state: State) -> None:
+    def _on_position(self, at_s: float, was_nea_m: Vector | None, state: State) -> None:
         vehicle, here = state.vehicle, state.vehicle.position_nea_m
         if here is None:  # it has rebooted
             return
-        was = None if before is None else before.position_nea_m
-        if was is not None and vehicle.jumped_at_s == vehicle.position_at_s:
-            self.saw("position jumped", at_s, at_s, math.dist(was, here))
+        if was_nea_m is not None and vehicle.jumped_at_s == vehicle.position_at_s:
+            self._saw("position jumped", at_s, at_s, math.dist(was_nea_m, here))
         in_air = is_in_air(vehicle)
         if not in_air:
-            self._path = None
-        if self._has_mission and (vehicle.distrust is None or not in_air):
-            beyond = _beyond_m(here, state) if in_air else {}
-            self._outside = {kind: off_m for kind, off_m in beyond.items() if off_m > 0.0}
-        is_led = state.phase is Phase.SHADOW and state.reason not in _DISTRUST
-        if in_air and is_led and vehicle.distrust is None:
-            self._on_way(at_s, here, state)
+            self._followed, self._outside = None, {}
+        elif self._has_mission and vehicle.distrust is None:
+            self._outside = {kind: m for kind, m in _beyond_m(here, state).items() if m > 0.0}
+            if state.phase is Phase.SHADOW and state.reason not in _DISTRUST:
+                self._compare(at_s, here, state)
 
-    def _on_way(self, at_s: float, here: Vector, state: State) -> None:
-        """Compare the flown track with the newest planned subpath."""
-        flight, leg = state.flight, state.leg
-        if leg is not None and (self._path is None or self._path[0].plan_id != leg.plan_id):
-            planned = self._plans.get(leg.plan_id)
-            self._path = None if planned is None else (planned, SubpathPoints(leg.subpath))
-        if self._path is None:
-            return
-        asked, points = self._path
-        off_m, along_m = points.nearest(here)
-        self._offs.setdefault(id(asked), []).append((at_s, off_m))
-        if leg is not None:
-            return
-        if flight.target != self._target:
-            self._cause, self._path, self._target = "on to the next target", None, flight.target
-        elif (asked.length_m or 0.0) - along_m < _AT_END_M:
-            self._cause, self._path = "the subpath has ended", None
-        else:
-            self._cause = f"{off_m:.0f} m off its path"
+    def _compare(self, at_s: float, here: Vector, state: State) -> None:
+        """Compare the flown track with the newest subpath, until the next one is followed."""
+        if (leg := state.leg) is not None:
+            self._followed = self._asked.get(leg.plan_id)
+        if (asked := self._followed) is not None and asked.points is not None:
+            off_m, along_m = asked.points.nearest(here)
+            asked.off_m.append((at_s, off_m))
+            if leg is None and (asked.attempt.length_m or 0.0) - along_m < _AT_END_M:
+                self._followed = None
 
-    # --- spans of time
-
-    def _observe(self, at_s: float) -> None:
-        """Begin and end the spans of what is so now, and of what no longer is."""
-        vehicle, ready = self._vehicle, self._is_ready  # before that, only a fix is waited for
-        without_fix = vehicle.fix_at_s > _EVER and not vehicle.fix_good
+    def _odd_now(self) -> Iterator[str]:
+        """What is odd about the vehicle's health; before it was ready, only a fix is waited for."""
+        vehicle = self._vehicle
         self._had_fix = self._had_fix or vehicle.fix_good
-        unsure = vehicle.estimator_at_s > _EVER and not vehicle.estimator_good
-        health = {
-            "no GPS fix yet": without_fix and not self._had_fix,
-            "GPS fix lost": without_fix and self._had_fix,
-            "estimator not to be believed": ready and unsure,
-            "the autopilot's own failsafe": ready and vehicle.failsafe,
-            **{kind: ready and vehicle.distrust is reason for reason, kind in _DOUBTS.items()},
-        }
-        now = {kind: None for kind, is_so in health.items() if is_so} | self._outside
+        if vehicle.fix_at_s > _EVER and not vehicle.fix_good:
+            yield "GPS fix lost" if self._had_fix else "no GPS fix yet"
+        if not self._is_ready:
+            return
+        if vehicle.estimator_at_s > _EVER and not vehicle.estimator_good:
+            yield "estimator not to be believed"
+        if vehicle.failsafe:
+            yield "the autopilot's own failsafe"
+        if vehicle.distrust in _DOUBTS:
+            yield _DOUBTS[vehicle.distrust]
+
+    def _observe(self, at_s: float, odd: set[str]) -> None:
+        """Begin and end the spans of what is so now, and of what no longer is."""
+        now = dict.fromkeys(sorted(odd)) | self._outside
         for kind in self._spans.keys() - now.keys():
             self._spans.pop(kind).until_s = at_s
         for kind, worst_m in now.items():
-            if (span := self._spans.get(kind)) is None:
-                to = self.report.health if worst_m is None else self.report.outside
-                self._spans[kind] = self.saw(kind, at_s, None, worst_m, to)
+            if kind not in self._spans:
+                self._spans[kind] = self._saw(kind, at_s, None, worst_m)
             elif worst_m is not None:
-                span.worst_m = max(span.worst_m or 0.0, worst_m)
+                self._spans[kind].worst_m = max(self._spans[kind].worst_m or 0.0, worst_m)
 
-    def _end_all(self, at_s: float) -> None:
-        """End everything in progress."""
-        for span in self._spans.values():
-            span.until_s = at_s
-        self._spans, self._outside = {}, {}
+    def _saw(
+        self, kind: str, from_s: float, until_s: float | None = None, worst_m: float | None = None
+    ) -> Observed:
+        """Note something where the vehicle is now."""
+        place, in_air = self._place(self._vehicle.position_nea_m), is_in_air(self._vehicle)
+        seen = Observed(
+            kind=kind, from_s=from_s, until_s=until_s, in_air=in_air, worst_m=worst_m, place=place
+        )
+        (self.report.outside if kind in self._outside else self.report.health).append(seen)
+        return seen
 
     def _place(self, point_nea_m: Vector | None) -> Place | None:
         if point_nea_m is None:

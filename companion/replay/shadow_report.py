@@ -42,8 +42,6 @@ class Hold(Struct, kw_only=True):
     """A time span in which the companion would have put the vehicle on hold."""
 
     let_go_s: float
-    vehicle_s: float
-    """The same by the vehicle's clock."""
     why: list[HoldReason]
     """The first is why it let go; the others came while it held."""
     place: Place | None
@@ -81,8 +79,10 @@ class TrackDeviation(Struct, frozen=True, kw_only=True):
     """Root mean square over the positions."""
 
     @staticmethod
-    def of(positions: Sequence[tuple[float, float]]) -> "TrackDeviation":
-        """Of positions: when each was, and how far off."""
+    def of(positions: Sequence[tuple[float, float]]) -> "TrackDeviation | None":
+        """Of positions: when each was, and how far off; None: there are none."""
+        if not positions:
+            return None
         at_s, off_m = np.array(positions).T
         farthest = int(np.argmax(off_m))
         return TrackDeviation(
@@ -207,18 +207,14 @@ def _head(report: ShadowReport) -> Iterator[str]:
         f"{report.length_s:,.1f} s{air}"
     )
     yield "times: seconds after the log's first record; places: latitude, longitude, altitude AMSL"
-    if report.mission is None:
-        yield "no mission was given: only the vehicle's health was looked at"
-    else:
-        yield f"mission {report.mission}"
+    none = "no mission was given: only the vehicle's health was looked at"
+    yield none if report.mission is None else f"mission {report.mission}"
     if report.watched_from_s is None:
         yield "the companion would never have been ready"
-    else:
-        always = "; it would never have let go: the position could always be believed"
-        yield (
-            f"ready, with a position to be believed, at {report.watched_from_s:,.1f} s"
-            f"{'' if report.holds else always}"
-        )
+        return
+    always = "; it would never have let go: the position could always be believed"
+    ready = f"ready, with a position to be believed, at {report.watched_from_s:,.1f} s"
+    yield ready if report.holds else ready + always
 
 
 def _hold_row(hold: Hold, report: ShadowReport) -> list[str]:
@@ -270,10 +266,8 @@ def _tail(report: ShadowReport) -> Iterator[str]:
             f"s), {own.rms_m:,.1f} m rms, over {own.positions:,} positions"
         )
     yield from (f"could not {each}" for each in report.could_not)
-    told = " ".join(report.could_not)
     for message, without in report.missing.items():
-        if message not in told:
-            yield f"{message} is missing: {without}. {HOW_TO_RECORD}"
+        yield f"{message} is missing: {without}. {HOW_TO_RECORD}"
     yield from (f"note: {note}" for note in report.notes)
     yield from (f"log: {finding}" for finding in report.log_findings)
 

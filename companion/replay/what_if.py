@@ -23,7 +23,7 @@ from companion.views.words import metres_at_least
 
 
 @final
-class Figures(Struct, frozen=True, kw_only=True):
+class Figures(Struct, frozen=True):
     """The figures of one answer; those of a subpath are None if there is none."""
 
     cost: float | None = None
@@ -41,28 +41,18 @@ class Figures(Struct, frozen=True, kw_only=True):
     @staticmethod
     def of(outcome: PlanOutcome, speed_m_s: float) -> "Figures":
         """The figures of an answer."""
-        if not isinstance(outcome, Planned):
-            why = outcome.refusal.name if isinstance(outcome, NotPlanned) else ""
-            return Figures(refusal=why)
-        length_m = outcome.subpath.length_m
-        return Figures(
-            cost=outcome.cost,
-            terms=outcome.terms,
-            clearance_m=outcome.certificate.clearance_m,
-            length_m=length_m,
-            time_s=length_m / speed_m_s,
-        )
+        if isinstance(outcome, Planned):
+            length_m, clearance_m = outcome.subpath.length_m, outcome.certificate.clearance_m
+            time_s = length_m / speed_m_s
+            return Figures(outcome.cost, outcome.terms, clearance_m, length_m, time_s)
+        return Figures(refusal=outcome.refusal.name if isinstance(outcome, NotPlanned) else "")
 
     def cells(self) -> list[str]:
         """Cost or why there is none, clearance, length and time, for people."""
         if self.cost is None or self.length_m is None:
             return [self.refusal.lower().replace("_", " ") or "-", "-", "-", "-"]
-        return [
-            f"{self.cost:.2f}",
-            f"{self.clearance_m:,.0f} m",
-            f"{self.length_m / 1000.0:,.2f} km",
-            f"{self.time_s:,.0f} s",
-        ]
+        clearance, length = f"{self.clearance_m:,.0f} m", f"{self.length_m / 1000.0:,.2f} km"
+        return [f"{self.cost:.2f}", clearance, length, f"{self.time_s:,.0f} s"]
 
 
 @final

@@ -1,8 +1,10 @@
 """A companion that dies of an error of its own leaves what it takes to see that error again."""
 
 import json
+import re
 import struct
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +15,10 @@ from tlog import recorded_frames
 from companion.config import load_mission
 from companion.mission import machine
 from companion.mission.events import Outcome
-from companion.replay.reproduce import Replay
+from companion.replay.compare import replay_of_folder
+from companion.replay.feed import outputs
 from companion.replay.what_if import what_if
-from companion.telemetry.inputs import FILE, InputsFile
+from companion.telemetry.inputs import FILE, Input, InputsFile
 
 ERROR = "ZeroDivisionError: made up"
 
@@ -96,7 +99,7 @@ def test_a_frame_that_was_not_sent_is_left_out_if_it_is_said_so(
 ) -> None:
     run = tmp_path / "run"
     fly_short(run, until_s=30.0)
-    replay = Replay(run, mission_of(run), plans=False)
+    replay = replay_of_folder(run, mission_of(run), plans=False)
     frames = [replay.found.frames for _ in replay.steps()]  # after each input
     records = recorded_frames(run / "flight.tlog")
     sends = (  # the first frame that an input in the midst of the flight had it send
@@ -112,3 +115,81 @@ def test_a_frame_that_was_not_sent_is_left_out_if_it_is_said_so(
     log = b"".join(struct.pack(">Q", at_us) + frame for at_us, frame in records)
     (run / "flight.tlog").write_bytes(log)
     assert (replayed(run, plans=False).difference is None) == is_said
+
+
+# --- a disk that stood still, and a companion that was killed
+
+STOPPED = r"at t (19\.9|20\.\d) s \(it has stood still for 2\.1 s\)"
+
+
+def killed_while_it_wrote(folder: Path, *, until_s: float, again: bool = False) -> Path:
+    """A flight whose last frames and entries are of no input; its disk stood still at 20 s."""
+    link = Paced(Vehicle(lockstep=False))
+    fly_short(folder, link=link, lockstep=False, until_s=until_s, complains_s=20.0)
+    rewritten(folder, lambda told: told.__delitem__(slice(told.index(("stop",)), None)))
+    if again:
+        fly_short(folder, link=link, lockstep=False, until_s=until_s + 20.0, again=True)
+    return folder
+
+
+def lost(run: Path, from_s: float, until_s: float) -> Callable[[list[Input]], None]:
+    """Without what the first companion was told between two vehicle times.
+
+    The made-up vehicle is in a hurry: what follows has to arrive so much later.
+    """
+    times_s = [session.now_s for _, session, _ in outputs(run, mission_of(run))]
+    first, after = (next(k for k, t in enumerate(times_s) if t >= at) for at in (from_s, until_s))
+
+    def change(told: list[Input]) -> None:
+        for k, each in enumerate(told[after:], after):
+            if each[0] == "receive":
+                told[k] = (*each[:2], each[2] + until_s - from_s)
+        del told[first:after]
+
+    return change
+
+
+def as_older_builds(told: list[Input]) -> None:
+    """The complaint as an input of its own."""
+    k = next(k for k, each in enumerate(told) if each[0] == "complain")
+    told[k] = "recording_stopped", told[k][1].removeprefix("not recorded any more: ")
+
+
+@pytest.mark.parametrize("change", [as_older_builds, lambda _: None])
+def test_a_recording_that_had_stopped_and_missed_nothing_is_the_same_to_its_end(
+    tmp_path: Path, change: Callable[[list[Input]], None]
+) -> None:
+    run = killed_while_it_wrote(tmp_path / "run", until_s=30.0)
+    rewritten(run, change)
+    found = replayed(run)
+    assert (found.is_identical, found.damaged, found.of_no_input) == (True, "", 0)
+    [said] = found.stops
+    assert re.fullmatch(f"{STOPPED}, and went on: nothing is missing", said)
+    assert found.now_s == pytest.approx(30.0, abs=0.3)
+
+
+def test_what_a_recording_lacks_is_said_and_what_is_known_before_and_after_is_compared(
+    tmp_path: Path,
+) -> None:
+    run = killed_while_it_wrote(tmp_path / "run", until_s=40.0, again=True)
+    whole = replayed(run)
+    assert (whole.is_identical, whole.starts) == (True, 2)
+    entries = [x for x in (run / "journal.jsonl").read_bytes().splitlines() if b'"schema"' not in x]
+    recorded = len(recorded_frames(run / "flight.tlog")) + len(entries)
+    assert whole.of_no_input > 0
+    assert whole.frames + whole.entries + whole.of_no_input == recorded
+    rewritten(run, lost(run, 25.0, 35.0))
+    found = replayed(run)
+    assert (found.is_identical, found.starts) == (True, 2)
+    assert 0.5 * whole.frames < found.frames < whole.frames
+    [said] = found.stops
+    assert re.fullmatch(rf"{STOPPED}: nothing is known from t 2[45]\.\d s to t 35\.\d s", said)
+    journal = run / "journal.jsonl"
+    before, header, after = journal.read_text("utf-8").rpartition('{"schema":')
+    twice = f"{before}{header}{after.splitlines()[0]}\n{header}{after}"  # killed before any input
+    journal.write_text(twice)
+    assert replayed(run).entries == found.entries
+    journal.write_text(twice.replace('"kind":"resumed"', '"kind":"say"'))
+    assert replayed(run).difference.t_s > 36.0
+    rewritten(run, lambda told: told.remove(next(t for t in told if t[0] == "complain")))
+    assert replayed(run).difference.t_s < 35.0  # nothing says that the recording had stopped
