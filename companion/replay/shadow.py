@@ -17,7 +17,7 @@ from typing import Final, NamedTuple, final
 
 from companion.errors import InputError
 from companion.geodesy import LocalFrame, deg
-from companion.mavlink.autopilots import NAMES, Autopilot, autopilot_of, described
+from companion.mavlink.autopilots import FIRMWARES, NAMES, Autopilot, autopilot_of, described
 from companion.mavlink.autopilots.messages import NOWHERE_DEG
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, KINDS, Message, wire
 from companion.mavlink.frames import decoded, number_of, payload_of, sender_of
@@ -50,8 +50,7 @@ LISTENED: Final = frozenset(
         wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
         wire.MAVLINK_MSG_ID_PARAM_VALUE,
         wire.MAVLINK_MSG_ID_FENCE_STATUS,
-        wire.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
-        wire.MAVLINK_MSG_ID_ESTIMATOR_STATUS,
+        *(each.all_is_well().get_msgId() for each in FIRMWARES),
     }
 )
 """Of the autopilot, besides the clocks.  Shadow mode needs neither battery nor setpoint echoes, and
@@ -63,6 +62,8 @@ _FEW: Final = 5
 _FIRST_OVERDUE_S: Final = 3.0  # until so many are known
 _LONGEST_PERIOD_S: Final = 5.0
 _SLOW_HZ: Final = 6.0  # positions that come less often: some are taken for late that are not
+_STAND_IN_AFTER_S: Final = 10.0
+_STAND_IN_S: Final = 1.0
 _TYPE_AT: Final = 4  # in the payload of HEARTBEAT
 _LOOKED_AT: Final = (HEARTBEAT, POSITION, GPS)
 
@@ -107,7 +108,7 @@ def watch(
         watching.on_record(record)
     watching.finish()
     report.missing, report.log_findings = log.missing(), log.findings
-    report.could_not = list(_could_not(chosen, report))
+    report.could_not = list(_could_not(chosen, watching, report))
     return report
 
 
@@ -250,6 +251,10 @@ class Watch:
         self._periods: deque[float] = deque(maxlen=_PERIODS)
         self._positions = 0
         self._positions_s = 0.0  # between all positions, without the gaps
+        self.stood_in_s: dict[str, float] = {}
+        """Messages that were taken to be good because there are none, and since when."""
+        self._stand_ins = _all_is_well(self._vehicle[0], look.autopilot)
+        self._stand_in_due_s: float | None = None
 
     def on_record(self, record: Record) -> None:
         """The next frame of the log, of any sender."""
@@ -294,6 +299,13 @@ class Watch:
         if period_s < _LONGEST_PERIOD_S:
             self._periods.append(period_s)
             self._positions_s += period_s
+        if self._stand_in_due_s is None:
+            self._stand_in_due_s = self._at_s + _STAND_IN_AFTER_S
+        if self._at_s >= self._stand_in_due_s:
+            self._stand_in_due_s = self._at_s + _STAND_IN_S
+            for number in self._stand_ins.keys() - self._log.heard:
+                self.stood_in_s.setdefault(KINDS[number].msgname, self._at_s)
+                self._feed(self._stand_ins[number])
 
     def _not_heard_since(self, since_s: float) -> None:
         """The link was silent, up to now; or a log that is written aboard was not written."""
@@ -348,9 +360,25 @@ class Watch:
             say(self._at_s, "armed" if armed else "disarmed")
 
 
-def _could_not(mission: Mission, report: ShadowReport) -> Iterator[str]:
+def _all_is_well(system_id: int, autopilot: Autopilot) -> dict[int, bytes]:
+    """Frames by message number that report a good GPS and estimator, for logs without them."""
+    codec = wire.MAVLink(None, srcSystem=system_id, srcComponent=AUTOPILOT_COMPONENT)
+    fix = wire.MAVLink_gps_raw_int_message(
+        0, wire.GPS_FIX_TYPE_3D_FIX, 0, 0, 0, 65535, 65535, 65535, 65535, 255
+    )
+    sure = autopilot.firmware.all_is_well()
+    return {each.get_msgId(): bytes(each.pack(codec)) for each in (fix, sure)}
+
+
+def _could_not(mission: Mission, watching: Watch, report: ShadowReport) -> Iterator[str]:
     """What shadow mode could not do on this log, beside that for which messages are missing."""
     rate_hz, known = report.position_rate_hz, mission.known
+    if names := " and ".join(watching.stood_in_s):
+        since_s = min(watching.stood_in_s.values())
+        yield (
+            f"tell whether the position is to be believed: {names} missing: taken to be good from "
+            f"{since_s:.0f} s on (in flight it would not have begun). {HOW_TO_RECORD}"
+        )
     if rate_hz is not None and rate_hz < _SLOW_HZ:
         yield (
             "tell in time that a position is missing: GLOBAL_POSITION_INT comes at "

@@ -266,8 +266,10 @@ def _tail(report: ShadowReport) -> Iterator[str]:
             f"s), {own.rms_m:,.1f} m rms, over {own.positions:,} positions"
         )
     yield from (f"could not {each}" for each in report.could_not)
+    told = " ".join(report.could_not)
     for message, without in report.missing.items():
-        yield f"{message} is missing: {without}. {HOW_TO_RECORD}"
+        if message not in told:
+            yield f"{message} is missing: {without}. {HOW_TO_RECORD}"
     yield from (f"note: {note}" for note in report.notes)
     yield from (f"log: {finding}" for finding in report.log_findings)
 

@@ -130,6 +130,7 @@ FIRMWARE: Final = Firmware(
     number=wire.MAV_AUTOPILOT_ARDUPILOTMEGA,
     fence=_fence,
     breached=re.compile(r"\bfences? breached", re.IGNORECASE),  # ardupilot.md 4
+    all_is_well=lambda: wire.MAVLink_ekf_status_report_message(_NEEDED, *[0.0] * 5),
     lasting_battery={"BATT_CAPACITY": 100_000.0},
     home_first=True,
 )

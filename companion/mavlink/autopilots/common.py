@@ -71,6 +71,8 @@ class Firmware:
     """The ids of EVENT that say so, without the component's byte."""
     misread: Callable[[Sequence[PlanItem], str], str] = lambda _items, _who: ""
     """What of a fence an autopilot of that name misreads, with the remedy; empty: nothing."""
+    all_is_well: Callable[[], Message]
+    """What its estimator reports when the position may be believed."""
     lasting_battery: Mapping[str, float]
     """Parameters of its simulation."""
     is_bytewise: bool = False

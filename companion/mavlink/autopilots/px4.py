@@ -199,6 +199,7 @@ FIRMWARE: Final = Firmware(
         for why in ("", "_max_hor_dist", "_max_alt", "_custom_gf")
     ),
     misread=_misread,
+    all_is_well=lambda: wire.MAVLink_estimator_status_message(0, _NEEDED, *[0.0] * 8),
     lasting_battery={"SIM_BAT_DRAIN": 10_000.0},
     is_bytewise=True,
     asks_time_often=True,  # px4.md 2
