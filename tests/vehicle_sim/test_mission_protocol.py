@@ -5,8 +5,6 @@ from typing import Any
 
 import pytest
 from harness import COMPANION, GCS, VEHICLE, Rig, flying
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.parameters import Firmware
@@ -190,25 +188,6 @@ def test_what_does_not_come_is_asked_for_again_and_given_up_in_the_end(firmware:
     vehicle.run(1.5)
     assert [it.message.seq for it in vehicle.heard[began:] if it.kind in ASKS] == [0]
     assert say(vehicle, circle(0, 60.0))[0].type == ACCEPTED
-
-
-@given(lost=st.lists(st.booleans(), min_size=40, max_size=40))
-@settings(max_examples=30)
-def test_an_upload_over_a_lossy_link_ends_right_or_not_at_all(lost: list[bool]) -> None:
-    """Every k-th frame of either side is lost or not; the client repeats what it said last."""
-    vehicle, items, goes = fresh("ardupilot"), lists()[FENCE], iter(lost)
-    last, done = count(4, FENCE), False
-    for _ in range(60):
-        for answer in say(vehicle, last) if not next(goes, False) else ():
-            if next(goes, False):
-                continue
-            if answer.get_type() != "MISSION_ACK":
-                last = items[answer.seq]
-            elif answer.type == ACCEPTED:
-                done = True
-            else:
-                last = count(4, FENCE)
-    assert len(vehicle.simulation.plans[FENCE]) in ((4,) if done else (0, 4))
 
 
 @pytest.mark.parametrize(

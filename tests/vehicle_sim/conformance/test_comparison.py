@@ -26,7 +26,7 @@ COPTER, PX4, PLANE = (
 
 
 def rows_of(recording: Recording, said: Side) -> list[Row]:
-    return compare(recording, flight_of(recording), said)
+    return compare(recording, flight_of(recording.name), said)
 
 
 def failing(rows: Iterable[Row]) -> set[str]:
@@ -38,7 +38,7 @@ def test_a_flight_agrees_with_itself_not_with_another_one_and_silence_with_nothi
     recorded: Recorded, name: str
 ) -> None:
     flight = recorded(name)
-    for reason in flight_of(flight).reasons:  # they are narrow, and say something
+    for reason in flight_of(flight.name).reasons:  # they are narrow, and say something
         assert len(reason.why) > 20
         assert not reason.names == reason.shown == ".*"
     rows = rows_of(flight, flight.side)

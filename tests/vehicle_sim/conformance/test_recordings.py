@@ -28,7 +28,7 @@ AGREED = {
 @pytest.mark.sample(3)
 def test_the_simulated_autopilot_is_like_the_recorded_one(recorded: Recorded, name: str) -> None:
     recording = recorded(name)
-    flight = flight_of(recording)
+    flight = flight_of(recording.name)
     rows = compare(recording, flight, Side(play(recording, flight)))
     disagreeing = [row for row in rows if not row.agrees]
     assert [row for row in disagreeing if row.reason is None] == []
