@@ -8,6 +8,7 @@ import cmath
 import copy
 import copyreg
 import functools
+import itertools
 import json
 import math
 from collections.abc import Callable, Sequence
@@ -317,12 +318,9 @@ class Rig:
 
     def stream(self, seconds: float, *vectors: Any, rate_hz: float = 20.0, **fields: Any) -> Self:
         """The same setpoint again and again."""
-        every, told = round(1.0 / rate_hz / STEP_S), setpoint(*vectors, **fields)
-        for index in range(round(seconds / STEP_S)):
-            if index % every == 0:
-                self.send(told)
-            self.step()
-        return self
+        told, steps = setpoint(*vectors, **fields), itertools.count()
+        every = round(1.0 / rate_hz / STEP_S)
+        return self.run(seconds, lambda: next(steps) % every or self.send(told))
 
     def armable(self) -> Self:
         """Boot until it may be armed."""
@@ -384,13 +382,9 @@ class Rig:
         raise AssertionError(f"no {kind} has come")
 
     def texts(self, since_s: float = 0.0, *, link: int = 0) -> list[str]:
-        told = list[str]()
-        for each in self.all("STATUSTEXT", since_s=since_s, link=link):
-            if each.message.chunk_seq:
-                told[-1] += each.message.text
-            else:
-                told.append(each.message.text)
-        return told
+        """What was said, of each text the first 50 characters."""
+        told = (each.message for each in self.all("STATUSTEXT", since_s=since_s, link=link))
+        return [message.text for message in told if not message.chunk_seq]
 
     def when(self, text: str) -> list[float]:
         """The times at which this was said."""

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
@@ -175,25 +174,26 @@ def test_over_tcp_a_client_that_was_cut_off_connects_again_and_it_goes_on(serve:
 @pytest.mark.parametrize(
     "bad",
     [
-        "link_duplication 30 %\nat 0 s: link_loss 20 %\nat 0 s: link_delay 50 ms jitter 30 ms",
-        pytest.param("link_off", marks=pytest.mark.nightly),
+        ("link_duplication 30 %", "link_loss 20 %", "link_delay 50 ms jitter 30 ms"),
+        pytest.param(("link_off",), marks=pytest.mark.nightly),
     ],
 )
 def test_links_that_are_bad_from_the_start_neither_stop_it_nor_depend_on_when_one_comes(
-    start: Start, bad: str, tmp_path: Path
+    serve: Serve, bad: tuple[str, ...]
 ) -> None:
-    told, faults = set[str](), tmp_path / "faults.txt"
-    faults.write_text(f"at 0 s: {bad}", encoding="utf-8")
+    told = set[str]()
     for wait_s in (0.0, 0.7):
         with udp_client() as client:
-            how = "--lockstep", "--duration", 4, "--faults", faults
-            process = start("--connect", client.endpoint, *how)
+            run = serve(client.endpoint, lockstep=True)
+            for line in bad:
+                run.simulation.add_fault(line)
             client.datagram()
-            threading.Event().wait(wait_s)
+            assert not run.ended(wait_s)
             client.send(client.heartbeat())
             told.add(follow(client, 3.9))
-            process.terminate()
-            assert process.result()[::2] == (0, "")
+            run.stop.set()
+            assert run.ended()
+            assert run.error is None
     assert len(told) == 1
 
 

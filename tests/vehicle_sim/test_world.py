@@ -74,10 +74,7 @@ def lidar(which: str = "lidar", **fields: Any) -> Table:
         (lidar(min_m=9.0), "lidar.min_m = 9.0 ... range_m"),
         (lidar(component_id=100), "lidar.component_id ... radar"),
         # and what only the vehicle knows
-        (
-            vehicle(autopilot="px4") | lidar(output="autopilot"),
-            "lidar.output = 'autopilot' ... px4",
-        ),
+        (vehicle(autopilot="px4") | lidar(output="autopilot"), "lidar.output ... px4 none"),
         (vehicle(autopilot="sparow"), "autopilot = 'sparow': must be 'ardupilot' or"),
         (vehicle(parameters={"GUID_TIMOUT": 1.0}), "GUID_TIMOUT = 1.0 ... mean GUID_TIMEOUT?"),
         ({"trees": [TREE | {"north_m": 0.3}]}, "vehicle.north_m ... stands inside"),

@@ -8,8 +8,6 @@ flights.py   the recording, what it does not say of itself, and its client flown
 rows.py      the rows; track.py and lidar.py those of the flight and of a lidar
 """
 
-import dataclasses
-
 from conformance import lidar, rows, track
 from conformance.flights import Flight, Recording, Side
 from conformance.rows import Comparison, Row
@@ -32,7 +30,7 @@ def compare(recording: Recording, flight: Flight, simulated: Side) -> list[Row]:
 
     def explained(row: Row) -> Row:
         reasons = (each for each in flight.reasons if each.explains(row))
-        return row if row.agrees else dataclasses.replace(row, reason=next(reasons, None))
+        return row if row.agrees else row._replace(reason=next(reasons, None))
 
     made = (row for make in _ALL for row in make(comparison))
     return [explained(row) for row in made if not comparison.is_left_out(row.at_s)]

@@ -208,7 +208,7 @@ class Reason(msgspec.Struct, frozen=True, kw_only=True):
     """It explains differences up to so many tolerances."""
 
     def explains(self, row: Any) -> bool:
-        told = ((self.kind, row.kind), (self.names, row.name), (self.shown, row.simulated))
+        told = ((self.kind, row.kind), (self.names, row.name), (self.shown, row.shown[1]))
         return row.difference <= self.most and all(re.fullmatch(*each) for each in told)
 
 

@@ -1,19 +1,16 @@
-"""A flight agrees with itself, not with another one, each kind of row can fail; and the clock."""
+"""A flight agrees with itself, not with another one, and each kind of row can fail."""
 
 import copy
 import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
-import numpy as np
 import pytest
 from harness import Heard
-from hypothesis import given
-from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 
 from conformance import compare
-from conformance.flights import Clock, Recording, Side, flight_of
+from conformance.flights import Recording, Side, flight_of
 from conformance.rows import Row
 
 Recorded = Callable[[str], Recording]
@@ -135,24 +132,3 @@ def test_every_kind_of_row_has_been_made_to_fail(recorded: Recorded) -> None:
     flights = [recorded(name) for name in (COPTER, PX4)]
     kinds = {row.kind for flight in flights for row in rows_of(flight, flight.side)}
     assert kinds == {kind for kind, *_ in CHANGES}
-
-
-# --- log time and vehicle time --------------------------------------------------------------------
-
-
-@given(
-    rate=st.floats(0.95, 1.05),
-    offset_s=st.floats(-5.0, 5.0),
-    late_s=st.lists(st.floats(0.0, 0.3), min_size=50, max_size=50),
-)
-def test_the_clock_finds_rate_and_offset_whatever_waited(
-    rate: float, offset_s: float, late_s: list[float]
-) -> None:
-    """One stamp in five did not wait."""
-    stamps = []
-    for i, wait_s in enumerate(late_s):
-        log_s = 0.2 * i
-        stamps.append((log_s + (0.0 if i % 5 == 0 else wait_s), offset_s + rate * log_s))
-    clock = Clock(stamps)
-    for log_s in np.linspace(0.0, 9.0, 19):
-        assert clock.vehicle_s(log_s) == pytest.approx(offset_s + rate * log_s, abs=0.31 * rate)
