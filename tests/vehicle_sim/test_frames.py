@@ -116,13 +116,10 @@ def flagged(flags: int, crc_is_off_by: int = 0) -> bytes:
     return body + struct.pack("<H", crc)
 
 
-def test_what_is_no_frame_of_mavlink_is_passed_over() -> None:
+def test_what_is_no_frame_of_mavlink_is_passed_over_and_an_unknown_one_costs_only_itself() -> None:
     assert len(StreamParser(datagrams=True).feed(flagged(0))) == 1
     for datagram in (flagged(0, 1), flagged(0)[:-1], flagged(2), flagged(3) + bytes(13)):
         assert StreamParser(datagrams=True).feed(datagram) == []
-
-
-def test_an_unknown_message_costs_only_itself() -> None:
     parser = StreamParser(datagrams=False)
     for number in range(100_000, 101_000):
         head = bytes([253, 9, 0, 0, 0, 1, 1, *number.to_bytes(3, "little")])

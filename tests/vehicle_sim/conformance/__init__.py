@@ -22,6 +22,19 @@ _ALL = (
     track.battery_rows,
     lidar.lidar_rows,
 )
+AGREED = {
+    "arducopter-gps-loss.tlog": (242, 245),
+    "arducopter-guided-10mps.tlog": (223, 224),
+    "arducopter-lidar.tlog": (214, 223),
+    "arduplane-guided-reposition.tlog": (255, 256),
+    "arducopter-guided-global-stream-faults.tlog": (233, 235),
+    "px4-fixedwing-offboard.tlog": (257, 268),
+    "px4-offboard-short.tlog": (167, 173),
+    "px4-offboard-8mps.tlog": (256, 261),
+    "px4-gps-loss.tlog": (249, 258),
+}
+"""By recording: how many rows agreed when they were chosen, and how many there were.  Every third
+one is of another autopilot."""
 
 
 def compare(recording: Recording, flight: Flight, simulated: Side) -> list[Row]:

@@ -43,16 +43,17 @@ def tables(flown: dict[str, list[Row]]) -> str:
     reasons = ["", "| recording | rows | do not agree | because |", "|---|---|---|---|"]
     for name, rows in flown.items():
         agree, apart = ([row for row in rows if row.agrees is wanted] for wanted in (True, False))
-        near = max(agree, key=lambda row: row.difference, default=None)
-        worst = near and f"{near.difference:.2f} of the tolerance ({near.kind}: {near.name})"
-        kinds = Counter(row.kind for row in apart)
-        told = ", ".join(f"{n} {kind}" for kind, n in kinds.items()) or "none"
+        near = max(agree, key=lambda row: row.difference)
+        worst = f"{near.difference:.2f} of the tolerance ({near.kind}: {near.name})"
+        kinds = Counter(row.kind for row in apart).items()
+        told = ", ".join(f"{n} {kind}" for kind, n in kinds) or "none"
         share = f"{100.0 * len(agree) / len(rows):.1f} %"
         lines.append(f"| {name} | {len(rows)} | {len(agree)} | {share} | {worst} | {told} |")
         because = defaultdict[str, list[str]](list)
         for row in apart:
-            why = row.reason.why if row.reason else "none is known"
-            because[why].append(f"{row.kind} ({row.name})")
+            because[row.reason.why if row.reason else "none is known"].append(
+                f"{row.kind} ({row.name})"
+            )
         for why, names in because.items():
             listed = ", ".join(dict.fromkeys(names))
             reasons.append(f"| {name} | {len(names)} | {listed} | {why} |")
