@@ -54,17 +54,9 @@ def copied(make: Callable[..., Made]) -> Callable[..., Made]:
     return functools.wraps(make)(lambda *given, **named: kept(*given, **named).copy())
 
 
-def limits(speed: float, acceleration: float, vertical: float, up: float) -> Limits:
-    """What an airframe can do, in m/s and m/s2."""
-    return Limits(
-        speed_m_s=speed,
-        acceleration_m_s2=acceleration,
-        speed_vertical_m_s=vertical,
-        acceleration_vertical_m_s2=up,
-    )
-
-
-GENTLE = limits(50.0, 9.0, 5.0, 5.0)
+GENTLE = Limits(
+    speed_m_s=50.0, acceleration_m_s2=9.0, speed_vertical_m_s=5.0, acceleration_vertical_m_s2=5.0
+)
 """An airframe for sensors and weather."""
 
 

@@ -392,15 +392,11 @@ def test_outside_of_an_inclusion_the_action_is_a_parameter(action: int, mode: st
     assert it.run(0.2).status.fence == (1, 2)  # counted once each time that it begins
 
 
-@pytest.mark.parametrize("mode", ["RTL", "LAND", "BRAKE"])
-def test_in_a_mode_that_is_for_the_air_it_is_not_armed(mode: str) -> None:
-    it = Rig().armable()
-    assert [it.set_mode(mode), it.arm()] == [ACCEPTED, FAILED]
-    assert it.texts()[-1] == f"Arm: {mode} mode not armable"
-
-
-def test_outside_of_its_fence_it_is_not_armed_and_says_why() -> None:
+def test_outside_of_its_fence_or_in_a_mode_for_the_air_it_is_not_armed_and_says_why() -> None:
     it = Rig(FENCE_ENABLE=1.0, FENCE_TYPE=4.0).armable()
+    for mode in ("RTL", "LAND", "BRAKE"):
+        assert [it.set_mode(mode), it.arm()] == [ACCEPTED, FAILED]
+        assert it.texts()[-1] == f"Arm: {mode} mode not armable"
     it.simulation.plans[PlanKind.FENCE] = (item(HOME, 5004, 0.0, 0.0, 0.0, 50.0, frame=0),)
     assert [it.set_mode("GUIDED"), it.arm()] == [ACCEPTED, FAILED]
     assert it.texts()[-1] == "Arm: Vehicle breaching Polygon"

@@ -1,11 +1,12 @@
 """Copter, plane, wind and battery against closed forms and what the recorded flights show."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from harness import GENTLE, limits, placed
+from harness import GENTLE, placed
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -20,7 +21,12 @@ from vehicle_sim.geodesy import LocalFrame
 
 approx = pytest.approx
 DT_S, PLACE = 0.01, (47.0, 8.0, 500.0)
-LIMITS, FREE = limits(30.0, 4.0, 5.0, 2.0), limits(1e3, 1e3, 1e3, 1e3)
+LIMITS = Limits(
+    speed_m_s=30.0, acceleration_m_s2=4.0, speed_vertical_m_s=5.0, acceleration_vertical_m_s2=2.0
+)
+FREE = Limits(
+    speed_m_s=1e3, acceleration_m_s2=1e3, speed_vertical_m_s=1e3, acceleration_vertical_m_s2=1e3
+)
 
 # --- copter: accelerations are ordered north, east, up --------------------------------------------
 
@@ -77,7 +83,7 @@ def test_drag_and_tilt_hold_the_speeds_that_were_measured(
 ) -> None:
     """Steady in arducopter-*.tlog."""
     most = GRAVITY_M_S2 * math.tan(math.radians(tilt_deg))  # no more holds the height
-    it = flown(copter(limits(1e3, most, 1e3, 1e3), 0.340, 0.0193), 30.0, 100.0, 0, 0)
+    it = flown(copter(replace(FREE, acceleration_m_s2=most), 0.340, 0.0193), 30.0, 100.0, 0, 0)
     assert it.velocity_m_s.real == approx(speed_m_s, rel=0.01)
     assert it.velocity_m_s.real * (0.340 + 0.0193 * it.velocity_m_s.real) == approx(most, rel=1e-6)
     assert it.pitch_rad == approx(-math.radians(tilt_deg), rel=1e-6)

@@ -10,18 +10,8 @@ from hypothesis import strategies as st
 
 from vehicle_sim.cli import bundled_worlds
 from vehicle_sim.errors import InputError
-from vehicle_sim.faults import (
-    COMPANION_OFF,
-    FAULTS,
-    Conditions,
-    Happening,
-    Timeline,
-    conditions_of,
-    entries,
-    sim_parameters,
-)
+from vehicle_sim.faults import COMPANION_OFF, FAULTS, Happening, Timeline, conditions_of, entries
 from vehicle_sim.in_process import vehicle
-from vehicle_sim.parameters import Parameters
 
 S = 1_000_000
 
@@ -82,11 +72,11 @@ HAPPENS: dict[str, dict[str, Any]] = {
 }
 
 
-def asked(text: str, at_s: float = 0.0) -> Conditions:
-    """What a timeline asks for at a time, of parameters that say nothing."""
+def asked(text: str, at_s: float = 0.0) -> Any:
+    """The conditions that a timeline asks for at a time, without any parameter."""
     timeline = Timeline.parse(text)
     timeline.step(round(at_s * S))
-    return conditions_of(Parameters(sim_parameters("ardupilot"), {}), timeline.lasting)
+    return conditions_of({}, timeline.lasting)
 
 
 # --- each fault -----------------------------------------------------------------------------------

@@ -7,20 +7,7 @@ from statistics import median
 from typing import Any
 
 import pytest
-from harness import (
-    GCS,
-    KINDS,
-    PLACE,
-    ZERO,
-    Rig,
-    circling,
-    flying,
-    heartbeat,
-    hover,
-    hovering,
-    item,
-    setpoint,
-)
+from harness import GCS, KINDS, Rig, circling, flying, heartbeat, hover, hovering, item, setpoint
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot.arducopter import FIRMWARE
@@ -33,7 +20,7 @@ from vehicle_sim.plans import PlanItem, PlanKind
 
 ALL_FOUR = pytest.mark.parametrize("kind", KINDS, ids="-".join)
 ACCEPTED, REJECTED, FAILED = Result.ACCEPTED, Result.TEMPORARILY_REJECTED, Result.FAILED
-STATION = heartbeat(mavlink.MAV_TYPE_GCS)
+STATION, STOP = heartbeat(mavlink.MAV_TYPE_GCS), setpoint(None, (0.0, 0.0, 0.0))
 approx = pytest.approx
 
 
@@ -224,11 +211,10 @@ def test_the_current_item_may_be_set_and_after_the_last_it_returns_and_circles_h
 
 
 def test_an_endless_jump_between_nothings_ends() -> None:
-    nothing = item(PLACE, 16)
+    nothing = item((47.0, 8.0), 16)
     forever = PlanItem(frame=0, command=177, parameters=(1.0, -1.0, 0.0, 0.0))
-    here = Place(*PLACE)
-    route = Route(first_item=1)
-    assert route.seek((nothing, forever), 1, (here, here, PLACE[2]), now_s=0.0) is None
+    here, route = Place(47.0, 8.0, 488.0), Route(first_item=1)
+    assert route.seek((nothing, forever), 1, (here, here, 488.0), now_s=0.0) is None
     assert route.complete
 
 
@@ -249,7 +235,7 @@ def test_a_ground_station_is_missed_after_it_was_heard_whoever_else_is(
 ) -> None:
     it = make()
     it.autopilot.parameters[parameter] = action
-    it.streamed = setpoint(None, ZERO)
+    it.streamed = STOP
     assert it.run(12.0 if begins != "MANUAL" else 0.0).set_mode(begins) == ACCEPTED
     assert it.mode == begins
     it.send(STATION, source=GCS)
@@ -279,7 +265,7 @@ def test_a_low_battery_is_acted_on_and_whoever_commands_another_mode_has_it(
 ) -> None:
     it = make(**{"BATT_LOW_VOLT": 10.5, "BATT_FS_LOW_ACT": 2} if make is hovering else {})
     it.send(STATION, source=GCS)
-    begins, it.streamed = it.mode, setpoint(None, ZERO)
+    begins, it.streamed = it.mode, STOP
     it.fault(line)
     took_s = it.until(lambda: it.mode == mode, 15.0)
     assert took_s == approx(after_s, abs=0.5)

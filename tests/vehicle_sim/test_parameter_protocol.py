@@ -41,23 +41,18 @@ def as_float(whole: int) -> Any:
 
 
 @BOTH
-def test_a_list_has_all_in_order_on_the_link_that_asked(firmware: Firmware) -> None:
-    vehicle = fresh(firmware)
-    told = [(m.param_id, m.param_index, m.param_count) for m in values(vehicle, LIST)]
+def test_values_are_listed_in_order_read_by_index_or_name_told_to_every_link_and_kept(
+    firmware: Firmware,
+) -> None:
+    vehicle, name = fresh(firmware), FLOAT[firmware]
     table = vehicle.simulation.parameters
-    assert told == [(name, k, len(table)) for k, name in enumerate(table)]
-    assert vehicle.all("PARAM_VALUE", link=1) == []
-
-
-@BOTH
-def test_a_value_is_read_by_index_or_name_told_to_every_link_and_kept(firmware: Firmware) -> None:
-    vehicle = fresh(firmware)
-    table, name = vehicle.simulation.parameters, FLOAT[firmware]
+    listed = [(m.param_id, m.param_index, m.param_count) for m in values(vehicle, LIST)]
+    assert listed == [(each, k, len(table)) for k, each in enumerate(table)]
+    assert vehicle.all("PARAM_VALUE", link=1) == []  # it has not asked
     place = list(table).index(name)
-    (by_index,), (by_name,) = read(vehicle, index=place), read(vehicle, name)
-    assert by_index.param_id == by_name.param_id == name
-    assert by_index.param_value == by_name.param_value == table[name]
-    assert by_index.param_index == by_name.param_index == place
+    for (message,) in (read(vehicle, index=place), read(vehicle, name)):
+        assert (message.param_id, message.param_index) == (name, place)
+        assert message.param_value == table[name]
     assert read(vehicle, "NO_SUCH_NAME") == read(vehicle, index=len(table)) == []
     assert put(vehicle, "NO_SUCH_NAME", 1.0) == []
     begun_s = vehicle.now_s

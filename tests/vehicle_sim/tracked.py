@@ -144,8 +144,7 @@ def weave(speed_m_s: float, lateral_m_s2: float, seconds: float) -> tuple[FloatA
 
 
 Weave = namedtuple(
-    "Weave",
-    "speed_m_s lateral_m_s2 lean_deg kind rate_hz along_m off_rms_m off_max_m",
+    "Weave", "speed_m_s lateral_m_s2 lean_deg kind rate_hz along_m off_rms_m off_max_m"
 )
 """A row of the document's table, or how it was flown: along is a mean, negative behind."""
 
