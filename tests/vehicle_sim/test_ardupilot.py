@@ -300,6 +300,26 @@ def test_of_setpoints_only_heights_are_taken_and_increments_add_up() -> None:
     assert rig.run(20.0).height_m == approx(95.0, abs=1.0)
 
 
+def test_a_course_is_turned_to_as_hard_as_asked_and_held_until_there_is_a_new_point() -> None:
+    rig = circling()
+    rig.reposition(3000.0, 0.0, 80.0)
+    wanted = 1j * rig.run(30.0).vehicle.velocity_m_s  # to the right
+
+    def off_rad() -> float:
+        return abs(cmath.phase(rig.vehicle.velocity_m_s / wanted))
+
+    course_deg = math.degrees(cmath.phase(wanted)) % 360.0
+    assert rig.command(CHANGE_HEADING, 0.0, course_deg, 3.0) == ACCEPTED
+    # at the bank of 3 m/s2 and what the airframe makes of it: 0.745 * 3 m/s2 sideways
+    turns_s = 0.25 * math.pi * 23.45 / (0.745 * 3.0)
+    assert rig.until(lambda: off_rad() < 0.25 * math.pi) == approx(turns_s, rel=0.15)
+    rig.run(60.0)
+    assert off_rad() < 0.01
+    assert rig.reposition(0.0, 0.0, 80.0) == ACCEPTED
+    rig.run(30.0)
+    assert off_rad() > 0.1
+
+
 # --- a plane without GPS --------------------------------------------------------------------------
 
 

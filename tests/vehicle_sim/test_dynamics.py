@@ -21,9 +21,7 @@ from vehicle_sim.geodesy import LocalFrame
 
 approx = pytest.approx
 DT_S, PLACE = 0.01, (47.0, 8.0, 500.0)
-LIMITS = Limits(
-    speed_m_s=30.0, acceleration_m_s2=4.0, speed_vertical_m_s=5.0, acceleration_vertical_m_s2=2.0
-)
+LIMITS = replace(GENTLE, speed_m_s=30.0, acceleration_m_s2=4.0, acceleration_vertical_m_s2=2.0)
 FREE = Limits(
     speed_m_s=1e3, acceleration_m_s2=1e3, speed_vertical_m_s=1e3, acceleration_vertical_m_s2=1e3
 )

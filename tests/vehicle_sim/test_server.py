@@ -22,11 +22,6 @@ def numbered(table: Table, count: int) -> list[Table]:
     return [table | {"vehicle": vehicle | {"system_id": k + 1}} for k in range(count)]
 
 
-def asks(message: Any) -> bool:
-    """Whichever of several vehicles."""
-    return bool(message.get_type() == "TIMESYNC" and message.tc1 == 0 and message.ts1)
-
-
 # --- lockstep -------------------------------------------------------------------------------------
 
 
@@ -80,7 +75,7 @@ def test_vehicles_on_one_link_ask_different_questions_and_wait_for_all(
     companion.begin()
     asked = list[tuple[int, int]]()
     while len(asked) < 15:
-        for message in filter(asks, companion.messages()):
+        for message in filter(is_question, companion.messages()):
             asked.append((message.ts1, message.get_srcSystem()))
             companion.send(companion.answer(message))
     assert len({question for question, _ in asked}) == len(asked)
@@ -100,7 +95,7 @@ def test_each_of_several_vehicles_flies_its_own_time(serve: Serve, world_table: 
                 first.tick()
             elif not run.simulations[0].companion_ended:
                 first.send(first.heartbeat(7))
-            for message in filter(asks, second.messages()):
+            for message in filter(is_question, second.messages()):
                 last_ns = message.ts1
                 second.send(second.answer(message))
         assert run.ended()
