@@ -86,7 +86,7 @@ class Client:
 
 
 def is_question(message: Any) -> bool:
-    """Of lockstep."""
+    """Of lockstep; an ArduPilot asks by itself too, each 10 s from 10 s on."""
     return bool(message.get_type() == "TIMESYNC" and message.tc1 == 0 and message.ts1)
 
 
