@@ -225,10 +225,6 @@ def test_ideal_follows_a_turn_of_9_m_s2_at_150_m_s_without_overshoot() -> None:
 # --- ArduPlane ------------------------------------------------------------------------------------
 
 
-def from_home_m(rig: Rig) -> float:
-    return math.hypot(*rig.ne_m)
-
-
 def test_nothing_but_take_off_and_auto_leaves_the_ground() -> None:
     rig = Rig("ardupilot", "plane").armable()
     assert rig.arm() == ACCEPTED
@@ -291,7 +287,7 @@ def test_of_setpoints_only_heights_are_taken_and_increments_add_up() -> None:
     for _ in range(5):
         rig.aim((0.0, 0.0, -1.0), frame=7)
     assert rig.run(40.0).height_m == approx(95.0, abs=1.0)
-    assert from_home_m(rig) < 150.0
+    assert math.hypot(*rig.ne_m) < 150.0
     rig.aim((*place, 50.0), mask=0xDFC, frame=6, is_global=True)
     rig.aim((*place, 50.0), frame=7, is_global=True)
     rig.aim((3000.0, 0.0, -150.0))
@@ -336,7 +332,7 @@ def test_without_gps_a_plane_levels_its_wings_holds_its_height_and_stays_in_its_
     assert (rig.run(12.0).mode, rig.autopilot.estimate.position_ok) == (flies_in, False)
     assert abs(rig.vehicle.roll_rad) < 0.01
     assert rig.height_m == approx(height_m, abs=3.0)
-    assert from_home_m(rig.run(60.0)) < 1000.0
+    assert math.hypot(*rig.run(60.0).ne_m) < 1000.0
     assert rig.autopilot.estimate.position_ok
 
 
@@ -449,4 +445,4 @@ def test_a_target_beyond_it_is_dropped_without_a_word_and_a_planes_denied() -> N
     assert rig.reposition(900.0, 0.0, 80.0) == DENIED
     assert rig.command(CHANGE_HEADING, 0.0, 0.0, 3.0) == ACCEPTED
     rig.until(lambda: rig.mode == "RTL")
-    assert from_home_m(rig) == approx(400.0, abs=5.0)
+    assert math.hypot(*rig.ne_m) == approx(400.0, abs=5.0)

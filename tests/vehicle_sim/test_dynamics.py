@@ -103,48 +103,32 @@ def test_left_alone_it_drifts_with_the_wind_and_to_stand_still_it_leans_into_it(
 # --- plane ----------------------------------------------------------------------------------------
 
 
-def plane(heading_deg: float = 0.0, airframe: PlaneLimits | None = None) -> Plane:
-    heading_rad = math.radians(heading_deg)
-    return Plane(**placed(PLACE), heading_rad=heading_rad, limits=airframe or PlaneLimits())
-
-
-def local_m(it: Plane) -> tuple[float, float]:
-    frame = LocalFrame(**placed(PLACE, height=False))
-    return frame.to_local(it.latitude_deg, it.longitude_deg)
-
-
-def cruised(
-    it: Plane, seconds: float, bank_deg: float = 0.0, climb_m_s: float = 0.0, speed: float = 20.0
-) -> Plane:
+def cruised(it: Plane, seconds: float, bank_deg: float, speed: float) -> Plane:
     for _ in range(round(seconds / DT_S)):
-        it.advance(math.radians(bank_deg), climb_m_s, speed, DT_S)
-    return it
-
-
-def steady(bank_deg: float = 0.0, speed: float = 20.0, heading_deg: float = 0.0) -> Plane:
-    """One that has settled, put back to the start."""
-    it = cruised(plane(heading_deg), 30.0, bank_deg, 0.0, speed)
-    it.latitude_deg, it.longitude_deg, _ = PLACE
+        it.advance(math.radians(bank_deg), 0.0, speed, DT_S)
     return it
 
 
 @pytest.mark.parametrize(("bank_deg", "speed"), [(-55.0, 15.0), (45.0, 25.0)])
 def test_a_turn_is_coordinated_and_one_that_slips_wider(bank_deg: float, speed: float) -> None:
-    it, lateral = steady(bank_deg, speed), GRAVITY_M_S2 * math.tan(math.radians(bank_deg))
-    radius_m = speed**2 / lateral
+    it = cruised(Plane(**placed(PLACE), limits=PlaneLimits()), 30.0, bank_deg, speed)
+    lateral = GRAVITY_M_S2 * math.tan(math.radians(bank_deg))
+    it.latitude_deg, it.longitude_deg, _ = PLACE
+    radius_m, frame = speed**2 / lateral, LocalFrame(**placed(PLACE, height=False))
     centre_m = (-radius_m * math.sin(it.heading_rad), radius_m * math.cos(it.heading_rad))
     for _ in range(20):
-        cruised(it, 0.5, bank_deg, 0.0, speed)
-        assert math.dist(local_m(it), centre_m) == approx(abs(radius_m), rel=1e-3)
+        cruised(it, 0.5, bank_deg, speed)
+        here_m = frame.to_local(it.latitude_deg, it.longitude_deg)
+        assert math.dist(here_m, centre_m) == approx(abs(radius_m), rel=1e-3)
     assert abs(it.acceleration_m_s2) == approx(abs(lateral), rel=1e-3)
     it.turn_efficiency = 0.75
-    before_rad = cruised(it, 30.0, bank_deg, 0.0, speed).heading_rad
-    turned_rad = cruised(it, 1.0, bank_deg, 0.0, speed).heading_rad - before_rad
+    before_rad = cruised(it, 30.0, bank_deg, speed).heading_rad
+    turned_rad = cruised(it, 1.0, bank_deg, speed).heading_rad - before_rad
     assert math.remainder(turned_rad, math.tau) == approx(0.75 * lateral / speed, rel=1e-3)
 
 
 def test_nothing_of_a_plane_exceeds_its_limit() -> None:
-    airframe = PlaneLimits(
+    able = PlaneLimits(
         airspeed_min_m_s=14.0,
         airspeed_max_m_s=24.0,
         bank_max_rad=math.radians(40.0),
@@ -153,18 +137,18 @@ def test_nothing_of_a_plane_exceeds_its_limit() -> None:
         sink_max_m_s=2.0,
         acceleration_m_s2=1.5,
     )
-    it = plane(airframe=airframe)
+    it = Plane(**placed(PLACE), limits=able)
     for sign in (1.0, -1.0, 1.0):
         for _ in range(3000):
             roll_rad, airspeed = it.roll_rad, it.airspeed_m_s
             it.advance(sign * 9.0, sign * 99.0, 20.0 + sign * 99.0, DT_S)
-            assert abs(it.roll_rad) <= airframe.bank_max_rad + 1e-12
-            assert abs(it.roll_rad - roll_rad) <= airframe.roll_rate_rad_s * DT_S + 1e-12
-            assert abs(it.airspeed_m_s - airspeed) <= airframe.acceleration_m_s2 * DT_S + 1e-12
+            assert abs(it.roll_rad) <= able.bank_max_rad + 1e-12
+            assert abs(it.roll_rad - roll_rad) <= able.roll_rate_rad_s * DT_S + 1e-12
+            assert abs(it.airspeed_m_s - airspeed) <= able.acceleration_m_s2 * DT_S + 1e-12
             assert -2.0 - 1e-9 <= it.velocity_up_m_s <= 3.0 + 1e-9
             assert 0.0 <= it.throttle <= 1.0
     assert it.airspeed_m_s == approx(24.0, abs=0.01)
-    assert cruised(it, 60.0, speed=0.0).airspeed_m_s == approx(14.0, abs=0.01)
+    assert cruised(it, 60.0, 0.0, 0.0).airspeed_m_s == approx(14.0, abs=0.01)
 
 
 # --- wind: gusts against the closed form of their correlation, and as a vehicle meets it ----------

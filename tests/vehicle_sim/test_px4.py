@@ -280,14 +280,10 @@ def test_a_breach_holds_until_another_command() -> None:
 # --- aeroplane ------------------------------------------------------------------------------------
 
 
-def away_m(rig: Rig, north_m: float = 0.0, east_m: float = 0.0) -> float:
-    return math.dist(rig.ne_m, (north_m, east_m))
-
-
 def off_circle_m(rig: Rig, north_m: float, east_m: float, radius_m: float = 80.0) -> float:
     """How far it leaves a circle about a place in half a minute, at most."""
     off_m = list[float]()
-    rig.run(30.0, lambda: off_m.append(abs(away_m(rig, north_m, east_m) - radius_m)))
+    rig.run(30.0, lambda: off_m.append(abs(math.dist(rig.ne_m, (north_m, east_m)) - radius_m)))
     return max(off_m)
 
 
