@@ -131,11 +131,11 @@ def paired(real: Sequence[Event], simulated: Sequence[Event]) -> list[Match]:
         for i, (at_s, key) in enumerate(real)
         for j in of_key[key]
     )
-    partner = dict[int, int]()
-    for away_s, i, j in sorted(apart_s):
-        if away_s <= WINDOW_S and i not in partner and j not in partner.values():
+    partner, alone = dict[int, int](), {*range(len(simulated))}
+    for _, i, j in sorted(each for each in apart_s if each[0] <= WINDOW_S):
+        if i not in partner and j in alone:
             partner[i] = j
-    alone = {*range(len(simulated))}.difference(partner.values())
+            alone.remove(j)
     matches: list[Match] = [
         (event, simulated[partner[i]] if i in partner else None) for i, event in enumerate(real)
     ]
