@@ -86,9 +86,8 @@ class Client:
 
 
 def is_question(message: Any) -> bool:
-    """Of lockstep; ArduPilot asks others that end in 1."""
-    is_sync = message.get_type() == "TIMESYNC" and message.tc1 == 0
-    return is_sync and message.ts1 > 0 and message.ts1 % 1000 == 0
+    """Of lockstep; an ArduPilot asks by itself too, each 10 s from 10 s on."""
+    return bool(message.get_type() == "TIMESYNC" and message.tc1 == 0 and message.ts1)
 
 
 @contextmanager

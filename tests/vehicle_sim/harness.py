@@ -8,6 +8,7 @@ import cmath
 import copy
 import copyreg
 import functools
+import itertools
 import json
 import math
 from collections.abc import Callable, Sequence
@@ -53,17 +54,9 @@ def copied(make: Callable[..., Made]) -> Callable[..., Made]:
     return functools.wraps(make)(lambda *given, **named: kept(*given, **named).copy())
 
 
-def limits(speed: float, acceleration: float, vertical: float, up: float) -> Limits:
-    """What an airframe can do, in m/s and m/s2."""
-    return Limits(
-        speed_m_s=speed,
-        acceleration_m_s2=acceleration,
-        speed_vertical_m_s=vertical,
-        acceleration_vertical_m_s2=up,
-    )
-
-
-GENTLE = limits(50.0, 9.0, 5.0, 5.0)
+GENTLE = Limits(
+    speed_m_s=50.0, acceleration_m_s2=9.0, speed_vertical_m_s=5.0, acceleration_vertical_m_s2=5.0
+)
 """An airframe for sensors and weather."""
 
 
@@ -317,12 +310,9 @@ class Rig:
 
     def stream(self, seconds: float, *vectors: Any, rate_hz: float = 20.0, **fields: Any) -> Self:
         """The same setpoint again and again."""
-        every, told = round(1.0 / rate_hz / STEP_S), setpoint(*vectors, **fields)
-        for index in range(round(seconds / STEP_S)):
-            if index % every == 0:
-                self.send(told)
-            self.step()
-        return self
+        told, steps = setpoint(*vectors, **fields), itertools.count()
+        every = round(1.0 / rate_hz / STEP_S)
+        return self.run(seconds, lambda: next(steps) % every or self.send(told))
 
     def armable(self) -> Self:
         """Boot until it may be armed."""
@@ -384,13 +374,9 @@ class Rig:
         raise AssertionError(f"no {kind} has come")
 
     def texts(self, since_s: float = 0.0, *, link: int = 0) -> list[str]:
-        told = list[str]()
-        for each in self.all("STATUSTEXT", since_s=since_s, link=link):
-            if each.message.chunk_seq:
-                told[-1] += each.message.text
-            else:
-                told.append(each.message.text)
-        return told
+        """What was said, of each text the first 50 characters."""
+        told = (each.message for each in self.all("STATUSTEXT", since_s=since_s, link=link))
+        return [message.text for message in told if not message.chunk_seq]
 
     def when(self, text: str) -> list[float]:
         """The times at which this was said."""

@@ -1,6 +1,5 @@
 """Who has landed and who has crashed: one law for all vehicles and autopilots."""
 
-import math
 from typing import Any
 
 import pytest
@@ -13,10 +12,10 @@ from vehicle_sim.plans import PlanKind
 from vehicle_sim.scene import Scene
 from vehicle_sim.terrain import PeakTerrain
 
-GROUND_M, HILL_NORTH_M, HILL_M, SPREAD_M = 500.0, 900.0, 700.0, 150.0
+GROUND_M = 500.0
+PEAK = {"north_m": 900.0, "east_m": 0.0, "height_amsl_m": GROUND_M + 700.0}
+PEAK |= {"spread_north_m": 150.0, "spread_east_m": 1e5}
 """Above the plain as a wall of 45 degrees and more from 749 m to the north on."""
-PEAK = {"north_m": HILL_NORTH_M, "east_m": 0.0, "height_amsl_m": GROUND_M + HILL_M}
-PEAK |= {"spread_north_m": SPREAD_M, "spread_east_m": 1e5}
 SLOWLY = {
     ("plane", "ardupilot"): {"AIRSPEED_CRUISE": 12.0, "AIRSPEED_MIN": 10.0, "SIM_WIND_SPD": 3.0},
     ("plane", "px4"): {"FW_AIRSPD_TRIM": 11.0, "SIM_WIND_SPD": 2.0},
@@ -30,12 +29,6 @@ def under_way(height_m: float, north_m_s: float, *kind: Any, **told: Any) -> Rig
     if flown.kind == "copter":
         flown.streamed = setpoint(None, (north_m_s, 0.0, 0.0))
     return flown
-
-
-def hill_m(north_m: float) -> float:
-    """Height of the ground, by the law of the world file."""
-    share = math.exp(-(((north_m - HILL_NORTH_M) / SPREAD_M) ** 2))
-    return max(GROUND_M, (GROUND_M + HILL_M) * share)
 
 
 @pytest.mark.parametrize(
@@ -96,8 +89,10 @@ def test_nobody_stands_on_a_slope_that_it_hits_at_9_m_s(kind: str, autopilot: st
     flown.until(lambda: simulation.crash is not None, 150.0)
     crash: Any = simulation.crash
     assert (crash.into, 7.5 < crash.speed_m_s < 12.0) == ("the ground", True)
-    assert crash.altitude_amsl_m == pytest.approx(hill_m(crash.north_m), abs=1.0)
-    assert hill_m(crash.north_m + 1.0) - hill_m(crash.north_m) > 0.5
+    hill = PeakTerrain([tuple(PEAK.values())], combine="maximum", ground_amsl_m=GROUND_M)
+    here_m, next_m = (hill.height_at_amsl_m(crash.north_m + m, crash.east_m) for m in (0.0, 1.0))
+    assert crash.altitude_amsl_m == pytest.approx(here_m, abs=1.0)
+    assert next_m - here_m > 0.5
     flown.run(3.0)
     last = flown.truth()[-1]
     assert (last["landed"], last["armed"]) == (True, False)

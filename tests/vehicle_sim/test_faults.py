@@ -10,18 +10,8 @@ from hypothesis import strategies as st
 
 from vehicle_sim.cli import bundled_worlds
 from vehicle_sim.errors import InputError
-from vehicle_sim.faults import (
-    COMPANION_OFF,
-    FAULTS,
-    Conditions,
-    Happening,
-    Timeline,
-    conditions_of,
-    entries,
-    sim_parameters,
-)
+from vehicle_sim.faults import COMPANION_OFF, FAULTS, Happening, Timeline, conditions_of, entries
 from vehicle_sim.in_process import vehicle
-from vehicle_sim.parameters import Parameters
 
 S = 1_000_000
 
@@ -82,11 +72,11 @@ HAPPENS: dict[str, dict[str, Any]] = {
 }
 
 
-def asked(text: str, at_s: float = 0.0) -> Conditions:
-    """What a timeline asks for at a time, of parameters that say nothing."""
+def asked(text: str, at_s: float = 0.0) -> Any:
+    """The conditions that a timeline asks for at a time, without any parameter."""
     timeline = Timeline.parse(text)
     timeline.step(round(at_s * S))
-    return conditions_of(Parameters(sim_parameters("ardupilot"), {}), timeline.lasting)
+    return conditions_of({}, timeline.lasting)
 
 
 # --- each fault -----------------------------------------------------------------------------------
@@ -122,44 +112,31 @@ def test_what_happens_once_happens_once(line: str) -> None:
 
 # --- the timeline ---------------------------------------------------------------------------------
 
-LINE = st.tuples(
-    st.integers(0, 30),
-    st.none() | st.integers(1, 15),
-    st.sampled_from(["turbulence {} m/s", "radar_noise {} m"]),
-    st.integers(1, 40),
-)
+OVERLAPPING = """at 2 s: turbulence 1 m/s
+at 4 s for 6 s: turbulence 2 m/s
+at 1 s for 7 s: turbulence 3 m/s
+at 4 s for 2 s: radar_noise 4 m
+at 4 s for 3 s: turbulence 5 m/s"""
 
 
-@given(lines=st.lists(LINE, max_size=8), stride=st.integers(1, 7), added=st.integers(0, 8))
-def test_any_overlap_is_what_a_replay_from_the_start_says(
-    lines: list[tuple[int, int | None, str, int]], stride: int, added: int
+@pytest.mark.parametrize("strides", [(1,) * 12, (4, 3, 5), (6, 6)])
+def test_of_overlapping_faults_that_set_the_same_the_one_that_began_last_counts(
+    strides: tuple[int, ...],
 ) -> None:
-    """Of those that last now, or for ever, the line that began last; some are added on the way."""
-    begun, later = lines[: len(lines) - added], lines[len(lines) - added :]
-
-    def lasts(length: int | None) -> str:
-        return "" if length is None else f"for {length} s"
-
-    text = [f"at {at} s {lasts(length)}: {form.format(v)}" for at, length, form, v in begun]
-    timeline = Timeline.parse("\n".join(text))
-    for now in range(0, 60, stride):
-        timeline.step(now * S)
+    """And one that is added begins now."""
+    timeline, now_s = Timeline.parse(OVERLAPPING), 0
+    turbulence = [0, 3, 1, 1, 5, 5, 5, 2, 2, 2, 1, 1, 1]
+    for stride in strides:
+        now_s += stride
+        timeline.step(now_s * S)
         seen = conditions_of({}, timeline.lasting)
-        for of_wind, found in ((True, seen.wind.turbulence_m_s), (False, seen.radar.noise_m)):
-            lasting = [
-                (at, number, value)
-                for number, (at, length, form, value) in enumerate(begun)
-                if ("radar" not in form) == of_wind
-                and at <= now
-                and (length is None or now < at + length)
-            ]
-            assert found == float(max(lasting, default=(0, 0, 0))[2])
-        if later:
-            _, length, form, value = later.pop()
-            begun = [*begun, (now, length, form, value)]
-            lasting_s = f"{lasts(length)}: " if length else ""
-            timeline.add(lasting_s + form.format(value), now * S)
-            assert timeline.next_us <= now * S
+        assert seen.wind.turbulence_m_s == turbulence[now_s]
+        assert seen.radar.noise_m == (4.0 if 4 <= now_s < 6 else 0.0)
+    for line, lasts in (("for 3 s: turbulence 6 m/s", 6), ("turbulence 7 m/s", 7)):
+        timeline.add(line, now_s * S)
+        assert timeline.next_us == now_s * S
+        timeline.step((now_s + 2) * S)
+        assert conditions_of({}, timeline.lasting).wind.turbulence_m_s == lasts
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from pyproj import Geod, Transformer
 
 from vehicle_sim.autopilot.earth import Projection
 from vehicle_sim.autopilot.values import Place
-from vehicle_sim.geodesy import LocalFrame
+from vehicle_sim.geodesy import LocalFrame, around
 from vehicle_sim.plans import PlanItem, PlanKind
 
 WGS84 = Geod(ellps="WGS84")
@@ -52,18 +52,17 @@ START_DEG = 179.9992
 """61 m before it."""
 
 
-def around_deg(longitude_deg: float) -> float:
-    return (longitude_deg + 180.0) % 360.0 - 180.0
-
-
 def fence(longitude_deg: float) -> tuple[PlanItem, ...]:
     """An inclusion zone about the start."""
-    four: Any = (4.0, 0.0, 0.0, 0.0)
-    corners = ((46.99, -0.002), (47.01, -0.002), (47.01, 0.002), (46.99, 0.002))
-    places = ((latitude_deg, around_deg(longitude_deg + east)) for latitude_deg, east in corners)
     return tuple(
-        PlanItem(frame=0, command=5001, parameters=four, x=round(1e7 * lat), y=round(1e7 * lon))
-        for lat, lon in places
+        PlanItem(
+            frame=0,
+            command=5001,
+            parameters=(4.0, 0.0, 0.0, 0.0),
+            x=round(1e7 * latitude_deg),
+            y=round(1e7 * around(longitude_deg + east_deg)),
+        )
+        for latitude_deg, east_deg in ((46.99, -2e-3), (47.01, -2e-3), (47.01, 2e-3), (46.99, 2e-3))
     )
 
 

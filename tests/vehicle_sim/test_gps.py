@@ -1,4 +1,4 @@
-"""The receiver against the recorded flights and against what its parameters say."""
+"""What the receiver says of a known flight, by what its parameters ask for."""
 
 import bisect
 import math
@@ -6,35 +6,28 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conformance.flights import read_recording
 from harness import GENTLE, PLANE_HOME, placed
 from numpy.typing import NDArray
 from pyproj import Geod
-from recordings import recording
 
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.faults import GpsConditions
-from vehicle_sim.sensors.gps import ARDUCOPTER, PX4, Fix, Gps, Receiver
+from vehicle_sim.sensors.gps import ARDUCOPTER, Fix, Gps
 
 FloatArray = NDArray[np.float64]
 WGS84 = Geod(ellps="WGS84")
-FINE, PROMPT = GpsConditions(), GpsConditions(lag_s=0.0)
+FINE = GpsConditions()
 STEP_US, S = 10_000, 1_000_000
 Changes = list[tuple[float, GpsConditions]]
 """From these seconds on."""
 
 
 def told(
-    receiver: Receiver,
-    changes: Changes,
-    until_s: float,
-    *,
-    copter: Copter | None = None,
-    step_us: int = STEP_US,
+    changes: Changes, until_s: float, *, copter: Copter | None = None, step_us: int = STEP_US
 ) -> list[Fix]:
     """What it says after each step, of a vehicle that keeps its velocity."""
     vehicle = copter or Copter(**placed(PLANE_HOME), limits=GENTLE)
-    gps, starts, found = Gps(receiver, np.random.default_rng(1)), [at for at, _ in changes], []
+    gps, starts, found = Gps(ARDUCOPTER, np.random.default_rng(1)), [at for at, _ in changes], []
     for now_us in range(0, round(until_s * S) + 1, step_us):
         conditions = changes[bisect.bisect_right(starts, now_us / S) - 1][1]
         vehicle.advance(0.0, 0.0, 0.0, step_us * 1e-6 if now_us else 0.0)
@@ -42,9 +35,9 @@ def told(
     return found
 
 
-def solutions(receiver: Receiver, until_s: float, conditions: Any = FINE, **how: Any) -> list[Fix]:
+def solutions(until_s: float, conditions: Any = FINE, **how: Any) -> list[Fix]:
     """Each new one."""
-    found = told(receiver, [(0.0, conditions)], until_s, **how)
+    found = told([(0.0, conditions)], until_s, **how)
     return [fix for k, fix in enumerate(found) if k and fix is not found[k - 1]]
 
 
@@ -59,49 +52,11 @@ def offsets_m(found: list[Fix], latitude_deg: float = PLANE_HOME[0]) -> FloatArr
     return np.array(rows)
 
 
-# --- the recorded flights -------------------------------------------------------------------------
-
-PX4_FLIGHT = "px4-gps-loss.tlog"
-
-
-def test_fixes_come_and_go_as_px4s_did() -> None:
-    """px4-gps-loss.tlog, from 76.3 to 106.6 s; time stamps there are those of the vehicle."""
-    asked = [message for _, message in read_recording(recording(PX4_FLIGHT)).side.of(24)]
-    lost = [real.time_usec / S for real in asked if real.fix_type == 0]
-    off = PROMPT._replace(enabled=False, satellites=0)
-    changes = [(0.0, PROMPT), (lost[0] - 0.1, off), (lost[-1] + 0.03, PROMPT)]
-    found = told(PX4, changes, asked[-1].time_usec / S + 0.02)
-    fixes = [found[(real.time_usec + 20_000) // STEP_US] for real in asked]
-    for real, fix in zip(asked, fixes, strict=True):
-        assert (fix.fix_type, fix.satellites) == (real.fix_type, real.satellites_visible)
-        assert fix.quality[0] == real.eph / 100.0
-        assert fix.quality[3] == pytest.approx(real.v_acc * 1e-3)
-    assert np.diff([fix.time_us for fix in fixes]).min() > 0  # also without a fix
-
-
-def test_px4s_noise_is_that_of_the_recorded_receiver() -> None:
-    """px4-gps-loss.tlog against LOCAL_POSITION_NED of the same moment, 20 to 75 s."""
-    side = read_recording(recording(PX4_FLIGHT)).side
-    track = np.array([(m.time_boot_ms * 1e-3, m.x) for _, m in side.of(32)])
-    seen = np.array([(m.time_usec / S, m.lat / 1e7) for _, m in side.of(24)])
-    seen = seen[(seen[:, 0] > 25.0) & (seen[:, 0] < 80.0)]
-    measured = seen[:, 1] * 111_200.0 - np.interp(seen[:, 0], *track.T)
-    own = offsets_m(solutions(PX4, 200.0, PROMPT)[1:])[:, 0]
-    # the difference of two solutions: slow errors cancel
-    steps = [np.diff(values) for values in (own, measured)]
-    assert steps[0].std() == pytest.approx(steps[1].std(), rel=0.15)
-    for each in steps:  # what differences of white noise have
-        assert np.corrcoef(each[1:], each[:-1])[0, 1] == pytest.approx(-0.5, abs=0.1)
-
-
-# --- what the receiver does -----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("lag_s", [0.0, 0.25])
 def test_the_position_is_as_old_as_the_lag_says(lag_s: float) -> None:
     copter = Copter(**placed(PLANE_HOME), limits=GENTLE)
     copter.velocity_m_s = 10.0 + 0j
-    found = solutions(ARDUCOPTER, 30.0, GpsConditions(lag_s=lag_s), copter=copter)[15:]
+    found = solutions(30.0, GpsConditions(lag_s=lag_s), copter=copter)[15:]
     expected = [10.0 * (fix.time_us * 1e-6 - lag_s) for fix in found]
     assert offsets_m(found)[:, 0] == pytest.approx(np.array(expected), abs=0.005)
     assert {round(fix.velocity_north_m_s, 6) for fix in found} == {10.0}
@@ -120,7 +75,7 @@ def test_a_glitch_moves_the_position_at_once_and_back(
 ) -> None:
     copter = Copter(**placed((latitude_deg, *PLANE_HOME[1:])), limits=GENTLE)
     changes = [(0.0, FINE), (12.0, glitch), (15.0, FINE)]
-    found = told(ARDUCOPTER, changes, 20.0, copter=copter)
+    found = told(changes, 20.0, copter=copter)
     for step, expected_m in ((1199, (0.0, 0.0, 0.0)), (1218, moved_m)):
         assert offsets_m([found[step]], latitude_deg)[0] == pytest.approx(expected_m, abs=0.3)
         assert found[step].fix_type == 6
@@ -129,17 +84,17 @@ def test_a_glitch_moves_the_position_at_once_and_back(
 
 def test_a_drift_goes_on_at_its_speed_and_is_forgotten() -> None:
     drift = GpsConditions(drift_m_s=(0.0, 0.5, 0.1))
-    found = solutions(ARDUCOPTER, 60.0, drift)[3:]
+    found = solutions(60.0, drift)[3:]
     away, lasted_s = offsets_m(found), (found[-1].time_us - found[0].time_us) * 1e-6
     expected = [0, 0.5 * lasted_s, 0.1 * lasted_s]
     assert away[-1] - away[0] == pytest.approx(expected, rel=2e-3, abs=1e-3)
     assert found[-1].velocity_east_m_s == pytest.approx(0.5)
-    found = told(ARDUCOPTER, [(0.0, drift), (20.0, FINE)], 30.0)
+    found = told([(0.0, drift), (20.0, FINE)], 30.0)
     assert offsets_m(found[-1:])[0] == pytest.approx([0, 0, 0], abs=1e-6)
 
 
 def test_noise_has_the_standard_deviation_that_is_asked_for() -> None:
-    found = solutions(ARDUCOPTER, 4000.0, GpsConditions(sigma_m=3.0), step_us=100_000)[3:]
+    found = solutions(4000.0, GpsConditions(sigma_m=3.0), step_us=100_000)[3:]
     away, lag = offsets_m(found), round(5.0 / 0.2)
     assert away.std(axis=0) == pytest.approx([3.0, 3.0, 4.5], rel=0.15)
     for x in away.T:
@@ -148,7 +103,7 @@ def test_noise_has_the_standard_deviation_that_is_asked_for() -> None:
 
 def test_a_jammed_receiver_first_loses_its_fix_and_then_says_wild_things() -> None:
     changes = [(0.0, FINE), (20.0, GpsConditions(jammed=True))]
-    found = told(ARDUCOPTER, changes, 139.9, step_us=200_000)
+    found = told(changes, 139.9, step_us=200_000)
     lost, wild = found[102:107], found[140:]
     assert found[99].fix_type == 6
     assert {(fix.fix_type, fix.satellites) for fix in lost} == {(1, 0)}

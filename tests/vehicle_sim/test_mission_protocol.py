@@ -5,8 +5,6 @@ from typing import Any
 
 import pytest
 from harness import COMPANION, GCS, VEHICLE, Rig, flying
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.parameters import Firmware
@@ -20,10 +18,6 @@ SEQUENCE, CANCELLED = 13, 15
 ASKS = ("MISSION_REQUEST", "MISSION_REQUEST_INT")
 FIELDS = ("command", "frame", "param1", "param2", "param3", "param4", "x", "y", "z")
 NOWHERE = {"frame": 2, "x": 0, "y": 0, "z": 0}
-
-
-def fresh(firmware: Firmware) -> Rig:
-    return Rig(firmware, links=2)
 
 
 def say(vehicle: Rig, message: Any, *, source: tuple[int, int] = GCS, link: int = 0) -> list[Any]:
@@ -89,7 +83,7 @@ def download(vehicle: Rig, kind: int, source: tuple[int, int] = GCS, link: int =
 def test_what_is_uploaded_comes_back_to_anybody_as_it_was_sent_until_it_is_cleared(
     firmware: Firmware,
 ) -> None:
-    vehicle = fresh(firmware)
+    vehicle = Rig(firmware, links=2)
 
     def told(items: list[Any]) -> list[list[str]]:
         return [[repr(float(getattr(each, name))) for name in FIELDS] for each in items]
@@ -114,7 +108,7 @@ def test_what_is_uploaded_comes_back_to_anybody_as_it_was_sent_until_it_is_clear
 
 @BOTH
 def test_old_clients_send_and_get_items_in_degrees(firmware: Firmware) -> None:
-    vehicle = fresh(firmware)
+    vehicle = Rig(firmware, links=2)
     say(vehicle, count(2, MISSION))
     for seq in (0, 1):
         head = (*VEHICLE, seq, 3, 16, 0, 1, 0, 0, 0, 0)
@@ -143,7 +137,7 @@ def test_item_0_of_ardupilots_mission_is_home_and_one_of_current_2_a_place_to_fl
 
 def test_the_id_of_a_list_is_the_one_that_the_real_px4_gave_it() -> None:
     """The fence and the MISSION_ACK of px4-gps-loss.tlog at 0.8 s."""
-    vehicle = fresh("px4")
+    vehicle = Rig("px4", links=2)
     say(vehicle, count(1, FENCE))
     (ack,) = say(vehicle, circle(0, 30.0, frame=5, x=474013408, y=85455948, z=0.0))
     raw = bytes(ack.get_msgbuf())
@@ -151,7 +145,7 @@ def test_the_id_of_a_list_is_the_one_that_the_real_px4_gave_it() -> None:
 
 
 def test_items_come_once_and_in_order_and_from_one_client_at_a_time() -> None:
-    vehicle = fresh("ardupilot")
+    vehicle = Rig("ardupilot", links=2)
     say(vehicle, count(2, FENCE))
     assert say(vehicle, circle(1)) == []
     assert say(vehicle, circle(0))[0].seq == 1
@@ -170,7 +164,7 @@ def test_items_come_once_and_in_order_and_from_one_client_at_a_time() -> None:
 @BOTH
 def test_what_does_not_come_is_asked_for_again_and_given_up_in_the_end(firmware: Firmware) -> None:
     """However silent the client is: an answer of the vehicle may have been lost."""
-    vehicle = fresh(firmware)
+    vehicle = Rig(firmware, links=2)
     upload(vehicle, [circle(0)], FENCE)
     old = vehicle.simulation.plans[FENCE]
     say(vehicle, count(2, FENCE))
@@ -192,25 +186,6 @@ def test_what_does_not_come_is_asked_for_again_and_given_up_in_the_end(firmware:
     assert say(vehicle, circle(0, 60.0))[0].type == ACCEPTED
 
 
-@given(lost=st.lists(st.booleans(), min_size=40, max_size=40))
-@settings(max_examples=30)
-def test_an_upload_over_a_lossy_link_ends_right_or_not_at_all(lost: list[bool]) -> None:
-    """Every k-th frame of either side is lost or not; the client repeats what it said last."""
-    vehicle, items, goes = fresh("ardupilot"), lists()[FENCE], iter(lost)
-    last, done = count(4, FENCE), False
-    for _ in range(60):
-        for answer in say(vehicle, last) if not next(goes, False) else ():
-            if next(goes, False):
-                continue
-            if answer.get_type() != "MISSION_ACK":
-                last = items[answer.seq]
-            elif answer.type == ACCEPTED:
-                done = True
-            else:
-                last = count(4, FENCE)
-    assert len(vehicle.simulation.plans[FENCE]) in ((4,) if done else (0, 4))
-
-
 @pytest.mark.parametrize(
     ("kind", "items", "result"),
     [
@@ -230,7 +205,7 @@ def test_an_upload_over_a_lossy_link_ends_right_or_not_at_all(lost: list[bool]) 
 def test_a_list_is_taken_whole_or_refused_and_the_old_one_stays(
     kind: Any, items: list[Any], result: int
 ) -> None:
-    vehicle = fresh("px4")
+    vehicle = Rig("px4", links=2)
     kept = vehicle.simulation.plans
     upload(vehicle, lists().get(kind, []), kind)
     before = {each: kept[each] for each in PlanKind}
@@ -239,7 +214,7 @@ def test_a_list_is_taken_whole_or_refused_and_the_old_one_stays(
 
 
 def test_the_current_item_is_set_and_told_without_an_acknowledgement() -> None:
-    vehicle = fresh("ardupilot")
+    vehicle = Rig("ardupilot", links=2)
     upload(vehicle, lists()[MISSION], MISSION)
     answers = vehicle.ask(mavlink.MAVLink_mission_set_current_message(*VEHICLE, 2))
     assert not [each for each in answers if each.get_type() == "COMMAND_ACK"]

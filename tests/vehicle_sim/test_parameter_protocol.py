@@ -18,10 +18,6 @@ LIST = mavlink.MAVLink_param_request_list_message(*VEHICLE)
 REAL, INT8, INT32 = 9, 2, 6
 
 
-def fresh(firmware: Firmware) -> Rig:
-    return Rig(firmware, links=2)
-
-
 def values(vehicle: Rig, message: Any) -> list[Any]:
     """The PARAM_VALUE that answer this on link 0."""
     return [each for each in vehicle.ask(message) if each.get_type() == "PARAM_VALUE"]
@@ -41,23 +37,18 @@ def as_float(whole: int) -> Any:
 
 
 @BOTH
-def test_a_list_has_all_in_order_on_the_link_that_asked(firmware: Firmware) -> None:
-    vehicle = fresh(firmware)
-    told = [(m.param_id, m.param_index, m.param_count) for m in values(vehicle, LIST)]
+def test_values_are_listed_in_order_read_by_index_or_name_told_to_every_link_and_kept(
+    firmware: Firmware,
+) -> None:
+    vehicle, name = Rig(firmware, links=2), FLOAT[firmware]
     table = vehicle.simulation.parameters
-    assert told == [(name, k, len(table)) for k, name in enumerate(table)]
-    assert vehicle.all("PARAM_VALUE", link=1) == []
-
-
-@BOTH
-def test_a_value_is_read_by_index_or_name_told_to_every_link_and_kept(firmware: Firmware) -> None:
-    vehicle = fresh(firmware)
-    table, name = vehicle.simulation.parameters, FLOAT[firmware]
+    listed = [(m.param_id, m.param_index, m.param_count) for m in values(vehicle, LIST)]
+    assert listed == [(each, k, len(table)) for k, each in enumerate(table)]
+    assert vehicle.all("PARAM_VALUE", link=1) == []  # it has not asked
     place = list(table).index(name)
-    (by_index,), (by_name,) = read(vehicle, index=place), read(vehicle, name)
-    assert by_index.param_id == by_name.param_id == name
-    assert by_index.param_value == by_name.param_value == table[name]
-    assert by_index.param_index == by_name.param_index == place
+    for (message,) in (read(vehicle, index=place), read(vehicle, name)):
+        assert (message.param_id, message.param_index) == (name, place)
+        assert message.param_value == table[name]
     assert read(vehicle, "NO_SUCH_NAME") == read(vehicle, index=len(table)) == []
     assert put(vehicle, "NO_SUCH_NAME", 1.0) == []
     begun_s = vehicle.now_s
@@ -79,7 +70,7 @@ def test_a_value_is_read_by_index_or_name_told_to_every_link_and_kept(firmware: 
 def test_ardupilot_converts_to_the_type_whatever_type_is_named(
     name: str, asked: float, kept: float
 ) -> None:
-    vehicle = fresh("ardupilot")
+    vehicle = Rig("ardupilot", links=2)
     for kind in (REAL, INT8, INT32):
         (told,) = put(vehicle, name, asked, kind)
         assert told.param_value == pytest.approx(kept, rel=1e-6)
@@ -89,7 +80,7 @@ def test_ardupilot_converts_to_the_type_whatever_type_is_named(
 @given(value=st.integers(-(2**31), 2**31 - 1).filter(lambda v: v & 0x7FC00000 != 0x7F800000))
 @settings(max_examples=20)
 def test_px4s_integers_travel_as_their_bits_and_no_other_type_is_taken(value: int) -> None:
-    vehicle, name = fresh("px4"), "COM_OBL_RC_ACT"
+    vehicle, name = Rig("px4", links=2), "COM_OBL_RC_ACT"
     (told,) = put(vehicle, name, as_float(value), INT32)
     assert struct.unpack("<i", bytes(told.get_msgbuf())[10:14]) == (value,)
     assert vehicle.simulation.parameters[name] == value
@@ -106,7 +97,7 @@ def test_px4s_integers_travel_as_their_bits_and_no_other_type_is_taken(value: in
 def test_the_parameters_of_ids_count_from_the_next_boot_on(
     firmware: Firmware, names: tuple[str, ...]
 ) -> None:
-    vehicle, after = fresh(firmware), (9, 50 if firmware == "px4" else 1)
+    vehicle, after = Rig(firmware, links=2), (9, 50 if firmware == "px4" else 1)
     for name, value in zip(names, after, strict=False):
         vehicle.simulation.set_parameter(name, value)
     assert {each.source for each in vehicle.run(3.0).heard} == {VEHICLE}

@@ -11,20 +11,7 @@ import math
 from typing import Any
 
 import pytest
-from harness import (
-    GCS,
-    NAN,
-    PLACE,
-    VELOCITY,
-    ZERO,
-    Rig,
-    Vector,
-    copied,
-    cruising,
-    heartbeat,
-    hover,
-    item,
-)
+from harness import GCS, NAN, PLACE, ZERO, Rig, Vector, copied, cruising, heartbeat, hover, item
 
 from vehicle_sim.autopilot.values import Landed, Result
 from vehicle_sim.plans import PlanKind
@@ -224,31 +211,6 @@ def test_frames_of_global_int(frame: int, z_m: float, above_origin_m: float) -> 
     assert pilot.target.position == about((0.0, 0.0, -above_origin_m), 0.01)
 
 
-@pytest.mark.parametrize(
-    ("how", "expected"),
-    [
-        ("position", {"farthest": 10.0}),
-        ("velocity", {"metres": 11.0, "seconds": 2.3}),
-        ("hold", {"metres": 31.2, "seconds": 5.6}),
-    ],
-)
-def test_it_stops_from_12_m_s(how: str, expected: dict[str, float]) -> None:
-    """15 %: 0.1 s of delay is 1.2 m."""
-    rig = cruise(12.0).stream(2.0, None, (12.0, 0.0, 0.0))
-    here, start_s = rig.ned_m, rig.now_s
-    setpoint = ((*here[:2], -15.0),) if how == "position" else (None, ZERO)
-    if how == "hold":
-        rig.set_mode("Hold")
-    seen = {"farthest": 0.0}
-    for _ in range(280):
-        rig.stream(0.05, *setpoint)
-        seen["metres"] = rig.ned_m[0] - here[0]
-        seen["farthest"] = max(seen["farthest"], seen["metres"])
-        if rig.speed_m_s < 0.3:
-            seen.setdefault("seconds", rig.now_s - start_s)
-    assert {name: seen[name] for name in expected} == pytest.approx(expected, rel=0.15)
-
-
 # --- failsafes ------------------------------------------------------------------------------------
 
 
@@ -282,20 +244,6 @@ def test_a_lost_stream_is_acted_on_after_1_1_s_and_taken_up_when_it_is_back(
     assert rig.stream(0.3, None, (5.0, 0.0, 0.0)).mode == "Offboard"
 
 
-@pytest.mark.parametrize(
-    ("rate_hz", "modes"),
-    [(1.2, ["Offboard"]), (0.8, ["Offboard", "Hold"] * 4)],
-)
-def test_a_slow_stream_flips_between_the_modes(rate_hz: float, modes: list[str]) -> None:
-    rig, seen = cruise(), list[str]()
-    for k in range(1200):
-        if k % round(100.0 / rate_hz) == 0:
-            rig.aim(None, (5.0, 0.0, 0.0))
-        rig.step()
-        seen += [rig.mode] if seen[-1:] != [rig.mode] else []
-    assert seen[:8] == modes
-
-
 def test_hold_without_a_position_is_a_descent() -> None:
     rig = hover()
     rig.set_mode("Hold")
@@ -317,11 +265,10 @@ def test_beyond_the_cylinder_about_home_it_does_what_gf_action_says(
 
 
 def test_a_breach_holds_until_another_command() -> None:
-    rig = fenced()
-    while rig.ned_m[0] < 40.0:
-        rig.stream(0.05, None, (4.0, 0.0, 0.0))
+    rig, stream = fenced(), (None, (4.0, 0.0, 0.0))
+    rig.until(lambda: rig.stream(0.05, *stream).ned_m[0] > 40.0)
     for seconds in (1.0, 8.0):
-        assert rig.stream(seconds, None, (4.0, 0.0, 0.0)).mode == "Hold"
+        assert rig.stream(seconds, *stream).mode == "Hold"
         assert rig.texts().count(OUTSIDE) == 1
     inside_m = rig.ned_m[0] - 40.0
     assert inside_m == about(5.0, 1.5)
@@ -333,14 +280,10 @@ def test_a_breach_holds_until_another_command() -> None:
 # --- aeroplane ------------------------------------------------------------------------------------
 
 
-def away_m(rig: Rig, north_m: float = 0.0, east_m: float = 0.0) -> float:
-    return math.dist(rig.ne_m, (north_m, east_m))
-
-
 def off_circle_m(rig: Rig, north_m: float, east_m: float, radius_m: float = 80.0) -> float:
     """How far it leaves a circle about a place in half a minute, at most."""
     off_m = list[float]()
-    rig.run(30.0, lambda: off_m.append(abs(away_m(rig, north_m, east_m) - radius_m)))
+    rig.run(30.0, lambda: off_m.append(abs(math.dist(rig.ne_m, (north_m, east_m)) - radius_m)))
     return max(off_m)
 
 
@@ -356,7 +299,7 @@ def offboard(to_north_m: float, to_east_m: float = 0.0, **more: float) -> Rig:
     return rig
 
 
-@pytest.mark.parametrize("mask", [VELOCITY, 0xC3F], ids=["velocity", "acceleration"])
+@pytest.mark.parametrize("mask", [0xDC7, 0xC3F], ids=["velocity", "acceleration"])
 def test_without_a_position_the_last_commands_stay(mask: int) -> None:
     rig, banks_rad = to_point(offboard(5000.0), 0.0, 5000.0, 1.0), list[float]()
     here = complex(*rig.ne_m)
@@ -375,15 +318,6 @@ def test_speed_is_the_parameter_whatever_is_commanded() -> None:
     assert rig.command(178, 0.0, 20.0, -1.0) == 0
     to_point(rig, 5000.0, 0.0, 20.0)
     assert rig.vehicle.airspeed_m_s == about(12.0 * 1.027, 0.1)  # at 550 m
-
-
-def test_a_point_is_circled_tightly_once_reached() -> None:
-    """px4.md 10: 8 to 30 m off."""
-    rig = to_point(offboard(300.0, north_m=-300.0), 300.0, 0.0, 55.0)
-    away = [away_m(to_point(rig, 300.0, 0.0, 0.1), 300.0) for _ in range(350)]
-    assert min(away) == about(13.0, 7.0)
-    assert max(away) == about(23.0, 9.0)
-    assert rig.mode == "Offboard"
 
 
 @pytest.mark.parametrize("radius_m", [150.0, -60.0])

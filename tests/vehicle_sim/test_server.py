@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
@@ -23,21 +22,17 @@ def numbered(table: Table, count: int) -> list[Table]:
     return [table | {"vehicle": vehicle | {"system_id": k + 1}} for k in range(count)]
 
 
-def asks(message: Any) -> bool:
-    """Whichever of several vehicles."""
-    return bool(message.get_type() == "TIMESYNC" and message.tc1 == 0 and message.ts1)
-
-
 # --- lockstep -------------------------------------------------------------------------------------
 
 
-def test_lockstep_stands_at_0_until_a_heartbeat_then_advances_tick_by_tick(
+def test_lockstep_stands_at_0_until_a_heartbeat_and_then_until_each_right_answer(
     serve: Serve, companion: Client
 ) -> None:
     run = serve(companion.endpoint, lockstep=True)
     hello = [*companion.messages(), *companion.messages()]
-    assert {m.get_type() for m in hello} == {"HEARTBEAT"}
-    assert {m.get_srcComponent() for m in hello} == {1, 100}
+    assert {(m.get_type(), m.get_srcComponent()) for m in hello} == {
+        *(("HEARTBEAT", component) for component in (1, 100))
+    }
     assert run.simulation.now_us == 0
     companion.send(companion.heartbeat(), companion.command(511, 30, 100_000))  # heard at once
     times = [companion.tick(companion.command(511, 33, 100_000))[-1].ts1]
@@ -46,43 +41,31 @@ def test_lockstep_stands_at_0_until_a_heartbeat_then_advances_tick_by_tick(
         times.append(got[-1].ts1)
     assert times == [100_000_000 * k for k in range(1, 31)]
     assert [m.get_type() for m in got] == ["ATTITUDE", "GLOBAL_POSITION_INT", "TIMESYNC"]
-
-
-def test_lockstep_waits_for_the_right_answer(serve: Serve, companion: Client) -> None:
-    run = serve(companion.endpoint, lockstep=True)
-    companion.begin()
     question = companion.wait_for(is_question)
     wrong = companion.frame(mavlink.MAVLink_timesync_message(5, 5))
     companion.send(wrong, b"\xfd garbage \xfd\xff\x00")
     companion.link.settimeout(0.3)
     with pytest.raises(TimeoutError):
         companion.datagram()
-    assert run.simulation.now_us == 100_000
+    assert run.simulation.now_us == 3_100_000
     companion.send(companion.answer(question))
-    assert companion.wait_for(is_question).ts1 == 200_000_000
+    assert companion.wait_for(is_question).ts1 == 3_200_000_000
 
 
-@pytest.mark.parametrize(
-    ("ticks", "settings", "words"),
-    [
-        (2, {"silence_s": 0.3}, "at 0.3 s of vehicle time"),
-        (0, {"first_heartbeat_s": 0.3}, "no heartbeat"),
-        (-1, {"silence_s": 0.5}, "tc1 to echo ts1"),  # it answers with a time of its own
-    ],
-)
 def test_silence_in_lockstep_is_an_error_that_says_what_is_missing(
-    serve: Serve, companion: Client, ticks: int, settings: dict[str, float], words: str
+    serve: Serve, companion: Client
 ) -> None:
-    run = serve(companion.endpoint, lockstep=True, **settings)
-    if ticks:
-        companion.begin()
-    for _ in range(ticks):
-        companion.tick()
-    if ticks < 0:
-        own = mavlink.MAVLink_timesync_message(1, companion.wait_for(is_question).ts1)
-        companion.send(companion.frame(own))
+    run = serve(companion.endpoint, lockstep=True, silence_s=0.5)
+    companion.begin()
+    companion.tick()
+    own = mavlink.MAVLink_timesync_message(1, companion.wait_for(is_question).ts1)
+    companion.send(companion.frame(own))  # it answers with a time of its own
     assert run.ended()
-    assert words in str(run.error)
+    assert "at 0.2 s of vehicle time" in str(run.error)
+    assert "tc1 to echo ts1" in str(run.error)
+    run = serve(companion.endpoint, lockstep=True, first_heartbeat_s=0.3)
+    assert run.ended()
+    assert "no heartbeat" in str(run.error)
 
 
 def test_vehicles_on_one_link_ask_different_questions_and_wait_for_all(
@@ -92,7 +75,7 @@ def test_vehicles_on_one_link_ask_different_questions_and_wait_for_all(
     companion.begin()
     asked = list[tuple[int, int]]()
     while len(asked) < 15:
-        for message in filter(asks, companion.messages()):
+        for message in filter(is_question, companion.messages()):
             asked.append((message.ts1, message.get_srcSystem()))
             companion.send(companion.answer(message))
     assert len({question for question, _ in asked}) == len(asked)
@@ -112,7 +95,7 @@ def test_each_of_several_vehicles_flies_its_own_time(serve: Serve, world_table: 
                 first.tick()
             elif not run.simulations[0].companion_ended:
                 first.send(first.heartbeat(7))
-            for message in filter(asks, second.messages()):
+            for message in filter(is_question, second.messages()):
                 last_ns = message.ts1
                 second.send(second.answer(message))
         assert run.ended()
@@ -179,25 +162,26 @@ def test_over_tcp_a_client_that_was_cut_off_connects_again_and_it_goes_on(serve:
 @pytest.mark.parametrize(
     "bad",
     [
-        "link_duplication 30 %\nat 0 s: link_loss 20 %\nat 0 s: link_delay 50 ms jitter 30 ms",
-        pytest.param("link_off", marks=pytest.mark.nightly),
+        ("link_duplication 30 %", "link_loss 20 %", "link_delay 50 ms jitter 30 ms"),
+        pytest.param(("link_off",), marks=pytest.mark.nightly),
     ],
 )
 def test_links_that_are_bad_from_the_start_neither_stop_it_nor_depend_on_when_one_comes(
-    start: Start, bad: str, tmp_path: Path
+    serve: Serve, bad: tuple[str, ...]
 ) -> None:
-    told, faults = set[str](), tmp_path / "faults.txt"
-    faults.write_text(f"at 0 s: {bad}", encoding="utf-8")
+    told = set[str]()
     for wait_s in (0.0, 0.7):
         with udp_client() as client:
-            how = "--lockstep", "--duration", 4, "--faults", faults
-            process = start("--connect", client.endpoint, *how)
+            run = serve(client.endpoint, lockstep=True)
+            for line in bad:
+                run.simulation.add_fault(line)
             client.datagram()
-            threading.Event().wait(wait_s)
+            assert not run.ended(wait_s)
             client.send(client.heartbeat())
             told.add(follow(client, 3.9))
-            process.terminate()
-            assert process.result()[::2] == (0, "")
+            run.stop.set()
+            assert run.ended()
+            assert run.error is None
     assert len(told) == 1
 
 

@@ -7,12 +7,7 @@ from typing import Any
 import pytest
 from harness import ALL, NAN, POSITION, POSITION_VELOCITY, VELOCITY, Vector
 
-from vehicle_sim.autopilot.setpoints import (
-    Stop,
-    Target,
-    read_by_arducopter,
-    read_by_px4,
-)
+from vehicle_sim.autopilot.setpoints import Stop, Target, read_by_arducopter, read_by_px4
 from vehicle_sim.autopilot.values import Setpoint
 
 PLACE, SPEED, PUSH = (40.0, -7.0, -33.0), (2.0, 1.0, -0.5), (0.3, -0.2, 0.1)
@@ -124,11 +119,8 @@ def test_wild_numbers_stop_arducopter_and_those_are_told_that_the_real_one_does_
     assert target.text.startswith("SIM:") is is_told
 
 
-def test_beside_a_global_place_and_a_velocity_arducopter_reads_no_acceleration() -> None:
-    assert told(read_by_arducopter(globally(ALL), 0.0)) == asked(GLOBAL, SPEED)
-
-
 def test_not_a_number_in_what_is_ignored_is_harmless_and_to_px4_is_an_axis_not_given() -> None:
+    assert told(read_by_arducopter(globally(ALL), 0.0)) == asked(GLOBAL, SPEED)  # no acceleration
     for read in (read_by_arducopter, read_by_px4):
         unread = given(POSITION, velocity=NOTHING, acceleration=NOTHING, yaw_rad=NAN)
         assert told(read(unread, 0.0)) == P

@@ -28,17 +28,6 @@ def tick(vehicle: Rig) -> list[str]:
     return [heard.kind for heard in vehicle.heard[begun:]]
 
 
-def test_unasked_there_are_only_heartbeats_of_both_components() -> None:
-    vehicle = fresh()
-    vehicle.run(50.0)  # through the whole boot: the origin is sent once by itself
-    beats = vehicle.all("HEARTBEAT")
-    for component in (1, 100):
-        assert sum(beat.source[1] == component for beat in beats) == 50
-    assert {beat.message.autopilot for beat in beats if beat.source[1] == 100} == {8}
-    others = {heard.kind for heard in vehicle.heard} - {"HEARTBEAT"}
-    assert others == {"GPS_GLOBAL_ORIGIN", "HOME_POSITION", "TIMESYNC"}
-
-
 def test_a_tick_is_one_position_period() -> None:
     vehicle = fresh()
     tick(vehicle)

@@ -192,13 +192,18 @@ def test_a_point_of_the_file_is_where_the_file_or_its_name_says(tmp_path: Path) 
     assert read(path).height_at_amsl_m(*there) == pytest.approx(tile[615, 580], abs=0.1)
 
 
-def test_holes_are_an_error_unless_the_world_says_what_lies_there(tmp_path: Path) -> None:
+def test_holes_are_refused_unless_the_world_says_what_lies_there_and_so_is_what_is_no_file(
+    tmp_path: Path,
+) -> None:
     data = DATA.astype(np.float32)
     data[60, 70], data[61, 70], data[0, 0] = -9999.0, np.nan, -9999.0
     path = written(tmp_path / "terrain.tif", data, nodata=-9999.0)
     assert "2 points without height" in refused(path)
     assert (read(path, "sea").heights_m == 0.0).sum() == 2
     assert (read(path, 12.5).heights_m == 12.5).sum() == 2
+    path.write_text("nothing")
+    assert "cannot be read" in refused(path)
+    assert "no such file" in refused(Path("/vsicurl/http://127.0.0.1/terrain.tif"))
 
 
 @pytest.mark.parametrize(
@@ -215,9 +220,3 @@ def test_what_cannot_be_flown_over_is_refused_in_one_line(
     tmp_path: Path, changes: dict[str, Any], words: str
 ) -> None:
     assert words in refused(written(tmp_path / "terrain.tif", **changes))
-
-
-def test_what_is_no_elevation_file_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "terrain.tif").write_text("nothing")
-    assert "cannot be read" in refused(tmp_path / "terrain.tif")
-    assert "no such file" in refused(Path("/vsicurl/http://127.0.0.1/terrain.tif"))

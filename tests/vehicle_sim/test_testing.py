@@ -4,7 +4,6 @@ import os
 import re
 import subprocess
 import sys
-import threading
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from pathlib import Path
@@ -98,25 +97,18 @@ def test_in_lockstep_every_tick_waits_for_the_clients_answer_and_not_for_ever(
     companion: Client,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    sim, asked, ended = vehicle_sim(lockstep=True), list[int](), threading.Event()
+    sim, asked = vehicle_sim(lockstep=True), list[int]()
     companion.link.setblocking(False)
     companion.address = ("127.0.0.1", sim.port)
     companion.send(companion.heartbeat())
 
-    def run() -> None:
-        while not ended.wait(0.001):
-            with suppress(BlockingIOError):
-                for message in filter(is_question, companion.messages()):
-                    asked.append(message.ts1)
-                    companion.send(companion.answer(message))
+    def answer() -> None:
+        with suppress(BlockingIOError):
+            for message in filter(is_question, companion.messages()):
+                asked.append(message.ts1)
+                companion.send(companion.answer(message))
 
-    thread = threading.Thread(target=run)
-    thread.start()
-    try:
-        sim.advance(3.0)
-    finally:
-        ended.set()
-        thread.join()
+    sim.advance(3.0, meanwhile=answer)
     ticks = [each for each in asked if each % 50_000_000 == 0]
     assert sorted(set(ticks)) == [50_000_000 * k for k in range(2, 61)]  # heard in the first
     monkeypatch.setattr("vehicle_sim.testing._PATIENCE_S", 0.3)

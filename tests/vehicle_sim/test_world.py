@@ -1,5 +1,6 @@
 """A world file is the world, or one line says what is wrong with it."""
 
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -74,10 +75,7 @@ def lidar(which: str = "lidar", **fields: Any) -> Table:
         (lidar(min_m=9.0), "lidar.min_m = 9.0 ... range_m"),
         (lidar(component_id=100), "lidar.component_id ... radar"),
         # and what only the vehicle knows
-        (
-            vehicle(autopilot="px4") | lidar(output="autopilot"),
-            "lidar.output = 'autopilot' ... px4",
-        ),
+        (vehicle(autopilot="px4") | lidar(output="autopilot"), "lidar.output ... px4 none"),
         (vehicle(autopilot="sparow"), "autopilot = 'sparow': must be 'ardupilot' or"),
         (vehicle(parameters={"GUID_TIMOUT": 1.0}), "GUID_TIMOUT = 1.0 ... mean GUID_TIMEOUT?"),
         ({"trees": [TREE | {"north_m": 0.3}]}, "vehicle.north_m ... stands inside"),
@@ -111,21 +109,20 @@ def test_what_is_no_world_file_or_cannot_be_read_is_refused_in_one_line(
             read_world(unreadable)
 
 
-def test_limits_that_a_file_gives_become_the_autopilots(world_table: Table) -> None:
+def test_limits_and_drag_that_a_file_gives_are_flown_and_with_limits_there_is_no_other_drag(
+    world_table: Table,
+) -> None:
     parameters = Simulation(parse_world(world_table)).parameters
     assert parameters["WPNAV_SPEED_UP"] == parameters["WPNAV_SPEED_DN"] == 2500.0
     assert (parameters["ANGLE_MAX"], parameters["WPNAV_ACCEL_Z"]) == (8000.0, 500.0)
     world_table["vehicle"]["parameters"] = {"WPNAV_SPEED_UP": 300.0}
     assert Simulation(parse_world(world_table)).parameters["WPNAV_SPEED_UP"] == 300.0
-
-
-@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
-@pytest.mark.parametrize("drag", [{"drag_1_s": 0.3}, {"speed_max_m_s": 9.0}])
-def test_the_drag_that_a_file_gives_is_flown_and_with_limits_there_is_none_else(
-    world_table: Table, autopilot: str, drag: Table
-) -> None:
-    simulation = Simulation(parse_world(world_table | vehicle(autopilot=autopilot, **drag)))
-    for _ in range(10):
-        simulation.step()
-    copter: Any = simulation.vehicle
-    assert (copter.drag_1_s, copter.drag_1_m) == (drag.get("drag_1_s", 0.0), 0.0)
+    for autopilot, (key, value, drag_1_s) in itertools.product(
+        ("ardupilot", "px4"), (("drag_1_s", 0.3, 0.3), ("speed_max_m_s", 9.0, 0.0))
+    ):
+        table = world_table | vehicle(autopilot=autopilot, **{key: value})
+        simulation = Simulation(parse_world(table))
+        for _ in range(10):
+            simulation.step()
+        copter: Any = simulation.vehicle
+        assert (copter.drag_1_s, copter.drag_1_m) == (drag_1_s, 0.0)

@@ -79,7 +79,6 @@ class Seen(NamedTuple):
     neu_m_s: FloatArray
     """How it moved.  (T, 3)"""
     lean_deg: FloatArray
-    heading_rad: FloatArray
 
     @property
     def ne_m(self) -> FloatArray:
@@ -102,8 +101,7 @@ def _flown(
         rig.step()
         if k % 5 == 0 and k * STEP_S >= since_s:
             lean_rad = math.acos(math.cos(vehicle.roll_rad) * math.cos(vehicle.pitch_rad))
-            turns = (math.degrees(lean_rad), vehicle.heading_rad)
-            seen.append((k, rig.ned_m, vehicle.velocity_neu_m_s, *turns))
+            seen.append((k, rig.ned_m, vehicle.velocity_neu_m_s, math.degrees(lean_rad)))
     return Seen(*map(np.array, zip(*seen, strict=True)))
 
 
@@ -146,12 +144,9 @@ def weave(speed_m_s: float, lateral_m_s2: float, seconds: float) -> tuple[FloatA
 
 
 Weave = namedtuple(
-    "Weave",
-    "speed_m_s lateral_m_s2 lean_deg kind rate_hz along_m off_rms_m off_max_m flown_m_s nose_deg",
-    defaults=(NAN, NAN),
+    "Weave", "speed_m_s lateral_m_s2 lean_deg kind rate_hz along_m off_rms_m off_max_m"
 )
-"""A row of the document's table, or how it was flown: along is a mean, negative behind; the nose
-is that between nose and course of the route."""
+"""A row of the document's table, or how it was flown: along is a mean, negative behind."""
 
 
 WEAVES = (
@@ -182,33 +177,21 @@ WEAVES = (
 )
 
 
-def fly_weave(
-    row: Weave, *, seconds: float = 90.0, late_s: float = 0.0, wind_east_m_s: float = 0.0
-) -> Weave:
-    """Stream a route and measure along and off it; late_s: how old setpoints are when sent."""
+def fly_weave(row: Weave, *, seconds: float = 90.0) -> Weave:
+    """Stream a route and measure along and off it."""
     speed_cm_s = max(row.speed_m_s, 10.0) * 100.0
     it = hovering(lean_deg=row.lean_deg, WPNAV_SPEED=speed_cm_s, GUID_TIMEOUT=3.0)
-    it.vehicle.wind_m_s = complex(0.0, wind_east_m_s)
-    it.run(15.0 if wind_east_m_s else 0.0)
     route = position, velocity, _ = weave(row.speed_m_s, row.lateral_m_s2, seconds)
-    late = round(late_s / STEP_S)
 
     def send(k: int, _: Any) -> None:
-        aim(it, row.kind, *(each[max(k - late, 0)].tolist() for each in route))
+        aim(it, row.kind, *(each[k].tolist() for each in route))
 
     seen = _flown(it, seconds, row.rate_hz, send, since_s=40.0)
     there, way = (each[:, 0] + 1j * each[:, 1] for each in (position, velocity))
     way, off_m = way[seen.step], [np.abs(there - here).min() for here in seen.ne_m]
     # the step has been flown by now
     ahead_m = ((seen.ne_m - there[seen.step]) / way).real * np.abs(way) - np.abs(way) * STEP_S
-    nose_rad = np.angle(np.exp(1j * seen.heading_rad) / way)
-    return row._replace(
-        along_m=ahead_m.mean(),
-        off_rms_m=_rms(off_m),
-        off_max_m=max(off_m),
-        flown_m_s=seen.speed_m_s.mean(),
-        nose_deg=np.degrees(np.abs(nose_rad)).mean(),
-    )
+    return row._replace(along_m=ahead_m.mean(), off_rms_m=_rms(off_m), off_max_m=max(off_m))
 
 
 Stop = namedtuple("Stop", "kind timeout_s brakes_s still_s furthest_m ends_m")

@@ -22,11 +22,11 @@ from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.world import VehicleKind
 
-_HEARTBEAT, _GPS_RAW, _ATTITUDE, _GLOBAL, _ORIGIN, _HOME = 0, 24, 30, 33, 49, 242
+_HEARTBEAT, _ATTITUDE, _GLOBAL = 0, 30, 33
 _STAMPED = {30, 32, 33}
 """ATTITUDE, LOCAL_POSITION_NED and GLOBAL_POSITION_INT begin with time_boot_ms."""
 _FIRMWARES: dict[int, Firmware] = {3: "ardupilot", 12: "px4"}
-_FIXED_WING, _ARMED, _FIX_3D = 1, 0x80, 3
+_FIXED_WING = 1
 FloatArray = NDArray[np.float64]
 
 
@@ -86,15 +86,6 @@ def _along(x: float, knots: FloatArray, values: FloatArray) -> float:
 # --- the recording --------------------------------------------------------------------------------
 
 
-class Place(msgspec.Struct, frozen=True, kw_only=True):
-    """Where the vehicle stood before the flight."""
-
-    latitude_deg: float
-    longitude_deg: float
-    altitude_amsl_m: float
-    heading_deg: float
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Recording:
     name: str
@@ -102,7 +93,6 @@ class Recording:
     firmware: Firmware
     kind: VehicleKind
     system: int
-    home: Place
     sent: Sequence[Heard]
     """By the clients: everything that does not come from the autopilot."""
     said: Sequence[Heard]
@@ -116,16 +106,13 @@ class Recording:
         return Side(self.said)
 
 
-def records(data: bytes, name: str = "") -> Iterator[tuple[int, bytes]]:
-    """Microseconds since 1970 and frame of each complete record of a .tlog.
+def records(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Microseconds since 1970 and frame of each complete record of a .tlog of MAVLink 2.
 
-    Each is 8 bytes of time, big-endian, and a frame.  InputError where no MAVLink 2 frame is.
+    Each is 8 bytes of time, big-endian, and a frame.
     """
     at = 0
     while at + 11 <= len(data):
-        if data[at + 8] != 0xFD:
-            rule = f"byte {at + 8} does not begin a MAVLink 2 frame"
-            raise InputError("LOG", name, rule, "Name a .tlog of MAVLink 2.")
         end = at + 20 + data[at + 9] + 13 * (data[at + 10] & 1)
         if end <= len(data):
             yield int.from_bytes(data[at : at + 8], "big"), data[at + 8 : end]
@@ -133,20 +120,17 @@ def records(data: bytes, name: str = "") -> Iterator[tuple[int, bytes]]:
 
 
 def read_recording(path: Path) -> Recording:
-    """The flight in this file, a .tlog or .tlog.xz.  InputError if there is none."""
+    """The flight in this file, a .tlog or .tlog.xz.  InputError if it cannot be read."""
     try:
         data = path.read_bytes()
         data = lzma.decompress(data) if path.suffix == ".xz" else data
     except (OSError, lzma.LZMAError) as error:
         rule = f"cannot be read ({getattr(error, 'strerror', error)})"
         raise InputError("LOG", str(path), rule, "Name a .tlog or .tlog.xz.") from None
-    told = list(records(data, str(path)))
+    told = list(records(data))
     raw = [Heard((time_us - told[0][0]) * 1e-6, frame) for time_us, frame in told]
     beats = (one for one in raw if one.number == _HEARTBEAT)
-    beat = next((one for one in beats if one.message.autopilot in _FIRMWARES), None)
-    if beat is None:
-        rule = "no autopilot of ArduPilot or PX4 speaks in it"
-        raise InputError("LOG", str(path), rule, "Name the recording of a flight.")
+    beat = next(one for one in beats if one.message.autopilot in _FIRMWARES)
     clock = Clock(
         # zeros at the end of a payload are left out
         (one.at_s, int.from_bytes(one.frame[10 : 10 + min(4, one.frame[1])], "little") * 1e-3)
@@ -161,7 +145,6 @@ def read_recording(path: Path) -> Recording:
         firmware=_FIRMWARES[message.autopilot],
         kind="plane" if message.type == _FIXED_WING else "copter",
         system=beat.source[0],
-        home=_home(said),
         sent=[one for one in timed if one.source != beat.source],
         said=said,
         begin_s=timed[0].at_s,
@@ -170,32 +153,16 @@ def read_recording(path: Path) -> Recording:
     )
 
 
-def _home(said: Iterable[Heard]) -> Place:
-    """From HOME_POSITION, or else the estimator's origin, or else the first fix."""
-    found, yaw_rad = dict[int, Any](), 0.0
-    for one in said:
-        if one.number not in (_HEARTBEAT, _ATTITUDE, _HOME, _ORIGIN, _GPS_RAW):
-            continue
-        m = one.message
-        if one.number == _HEARTBEAT and m.base_mode & _ARMED:
-            break  # it has stood still until now
-        if one.number == _ATTITUDE:
-            yaw_rad = m.yaw
-        elif one.number in (_HOME, _ORIGIN):
-            found.setdefault(one.number, (m.latitude, m.longitude, m.altitude))
-        elif one.number == _GPS_RAW and m.fix_type >= _FIX_3D:
-            found.setdefault(one.number, (m.lat, m.lon, m.alt))
-    places = (found[kind] for kind in (_HOME, _ORIGIN, _GPS_RAW) if kind in found)
-    latitude_e7, longitude_e7, altitude_mm = next(places, (0, 0, 0))
-    return Place(
-        latitude_deg=latitude_e7 / 1e7,
-        longitude_deg=longitude_e7 / 1e7,
-        altitude_amsl_m=altitude_mm / 1e3,
-        heading_deg=math.degrees(yaw_rad) % 360.0,
-    )
-
-
 # --- what it does not say of itself; times are seconds after the first record --------------------
+
+
+class Place(msgspec.Struct, frozen=True, kw_only=True):
+    """Where the vehicle stood before the flight."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_amsl_m: float
+    heading_deg: float
 
 
 class Span(msgspec.Struct, frozen=True, kw_only=True):
@@ -241,16 +208,16 @@ class Reason(msgspec.Struct, frozen=True, kw_only=True):
     """It explains differences up to so many tolerances."""
 
     def explains(self, row: Any) -> bool:
-        told = ((self.kind, row.kind), (self.names, row.name), (self.shown, row.simulated))
+        told = ((self.kind, row.kind), (self.names, row.name), (self.shown, row.shown[1]))
         return row.difference <= self.most and all(re.fullmatch(*each) for each in told)
 
 
 class Flight(msgspec.Struct, frozen=True, kw_only=True):
     """The circumstances of one recording."""
 
-    home: Place
-    recording: str = ""
+    recording: str
     """Name of its file."""
+    home: Place
     parameters: Mapping[str, float] = {}
     posts: Posts | None = None
     """What its lidar sees."""
@@ -275,11 +242,13 @@ def _known() -> _Known:
     return msgspec.convert(tomllib.loads(text), _Known)
 
 
-def flight_of(recording: Recording) -> Flight:
-    """What is known of this recording; of a strange one, what it says of itself."""
-    name, known = recording.name, _known()
-    strange = Flight(home=recording.home)
-    flight = next((each for each in known.flights if each.recording == name), strange)
+def flight_of(name: str) -> Flight:
+    """What is known of the recording of this name; InputError if that is nothing."""
+    known = _known()
+    flight = next((each for each in known.flights if each.recording == name), None)
+    if flight is None:
+        rule = "nobody knows where its vehicle stood"
+        raise InputError("LOG", name, rule, "Add a [[flights]] with its home to flights.toml.")
     reasons = [each for each in known.reasons if fnmatch.fnmatchcase(name, each.recordings)]
     return msgspec.structs.replace(flight, reasons=reasons)
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conformance.flights import Flight, FloatArray, Posts, Side
-from conformance.rows import NOTHING, Comparison, Row, apart, row
+from conformance.rows import NOTHING, Comparison, Row, apart
 
 _SYS_STATUS, _ATTITUDE, _DISTANCE_SENSOR, _SIMSTATE = 1, 30, 132, 164
 _PROXIMITY = 0x4000000
@@ -48,8 +48,8 @@ def lidar_rows(comparison: Comparison) -> Iterator[Row]:
     for kind, name in names:
         tolerance = _TOLERANCES.get(kind) or _TOLERANCES[name]
         pair = real.get((kind, name)), simulated.get((kind, name))
-        shown = (NOTHING if value is None else f"{value:.3g}" for value in pair)
-        yield row(kind, name, shown, apart(*pair, tolerance))
+        shown = [NOTHING if value is None else f"{value:.3g}" for value in pair]
+        yield Row(kind, name, shown, apart(*pair, tolerance))
 
 
 def _found(side: Side, flight: Flight, posts: Posts) -> Found:

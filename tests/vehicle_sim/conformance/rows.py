@@ -1,22 +1,23 @@
 """What a row is, how events are paired, and the rows of what is answered, changes and streams."""
 
 import bisect
-import dataclasses
 import itertools
 import math
 import re
-from collections import Counter
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
-from typing import Any, TypeVar
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, NamedTuple
 
+import numpy as np
 from harness import Heard
 from pymavlink.dialects.v20 import all as mavlink
 
 from conformance.flights import Flight, Reason, Recording, Side
 
-Key = TypeVar("Key", bound=Hashable)
-Event = tuple[float, Key]
-Match = tuple[Event[Key] | None, Event[Key] | None]
+Event = tuple[float, Any]
+"""When, and what."""
+Match = tuple[Event | None, Event | None]
+"""Of the real one and of the simulated one."""
 
 MIN_S = 1.1
 """No event has to be nearer than this: a change may be seen with the next heartbeat only."""
@@ -30,14 +31,13 @@ _COMMANDS, _SETPOINTS = {75, 76}, {84, 86}
 _STREAM_GAP_S = 0.8
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class Row:
+class Row(NamedTuple):
     """One thing that a client can tell, on both sides."""
 
     kind: str
     name: str
-    real: str
-    simulated: str
+    shown: Sequence[str]
+    """Of the real one and of the simulated one."""
     difference: float
     """In tolerances: agrees up to 1; inf where one side has nothing to compare."""
     at_s: float | None = None
@@ -48,14 +48,6 @@ class Row:
     @property
     def agrees(self) -> bool:
         return self.difference <= 1.0
-
-
-def row(
-    kind: str, name: str, shown: Iterable[str], difference: float, at_s: float | None = None
-) -> Row:
-    """One row; shown: of the real one and of the simulated one."""
-    real, simulated = shown
-    return Row(kind, name, real, simulated, difference, at_s)
 
 
 def apart(real: float | None, simulated: float | None, tolerance: float) -> float:
@@ -123,37 +115,36 @@ def _causes(recording: Recording, flight: Flight) -> Iterator[float]:
 # --- pairing --------------------------------------------------------------------------------------
 
 
-def changes(messages: Iterable[tuple[float, Any]], value: Callable[[Any], Key]) -> list[Event[Key]]:
+def changes(messages: Iterable[Event], value: Callable[[Any], Any]) -> list[Event]:
     """When a value appeared first, and every time that it changed."""
     told = [(time_s, value(message)) for time_s, message in messages]
     return [event for k, event in enumerate(told) if not k or told[k - 1][1] != event[1]]
 
 
-def paired(real: Sequence[Event[Key]], simulated: Sequence[Event[Key]]) -> list[Match[Key]]:
+def paired(real: Sequence[Event], simulated: Sequence[Event]) -> list[Match]:
     """Equal events of both sides, the nearest with the nearest; then what is left of each."""
-    of_key = dict[Key, list[int]]()
+    of_key = defaultdict[Any, list[int]](list)
     for j, (_, key) in enumerate(simulated):
-        of_key.setdefault(key, []).append(j)
+        of_key[key].append(j)
     apart_s = (
         (abs(at_s - simulated[j][0]), i, j)
         for i, (at_s, key) in enumerate(real)
-        for j in of_key.get(key, ())
+        for j in of_key[key]
     )
-    near = sorted(each for each in apart_s if each[0] <= WINDOW_S)
-    partner, taken = dict[int, int](), set[int]()
-    for _, i, j in near:
-        if i not in partner and j not in taken:
+    partner, alone = dict[int, int](), {*range(len(simulated))}
+    for _, i, j in sorted(each for each in apart_s if each[0] <= WINDOW_S):
+        if i not in partner and j in alone:
             partner[i] = j
-            taken.add(j)
-    matches: list[Match[Key]] = [
+            alone.remove(j)
+    matches: list[Match] = [
         (event, simulated[partner[i]] if i in partner else None) for i, event in enumerate(real)
     ]
-    matches += [(None, event) for j, event in enumerate(simulated) if j not in taken]
+    matches += [(None, simulated[j]) for j in sorted(alone)]
     return sorted(matches, key=lambda match: (match[0] or match[1] or (0.0,))[0])
 
 
 def timed_rows(
-    comparison: Comparison, kind: str, matches: Iterable[Match[str]], interval_s: float = 0.0
+    comparison: Comparison, kind: str, matches: Iterable[Match], interval_s: float = 0.0
 ) -> Iterator[Row]:
     """A row for each pair: agrees if both are there, at the same time but for the patience.
 
@@ -163,8 +154,8 @@ def timed_rows(
         at_s, name = match[0] or match[1] or (0.0, "")
         real_s, simulated_s = (each and each[0] for each in match)
         difference = apart(real_s, simulated_s, comparison.patience_s(at_s, interval_s))
-        shown = (f"{each[0]:.2f} s" if each else NOTHING for each in match)
-        yield row(kind, name, shown, difference, at_s)
+        shown = [f"{each[0]:.2f} s" if each else NOTHING for each in match]
+        yield Row(kind, name, shown, difference, at_s)
 
 
 def interval_s(times: Sequence[float]) -> float:
@@ -233,11 +224,11 @@ def _ack_row(name: str, at_s: float, real: Answers, simulated: Answers) -> Row:
     if [result for _, result in real] == [result for _, result in simulated]:
         late = (abs(a[0] - b[0]) for a, b in zip(real, simulated, strict=True))
         difference = max(late, default=0.0) / ACK_S
-    shown = (
+    shown = [
         ", ".join(f"{enum_name('MAV_RESULT', r)} +{t - at_s:.2f} s" for t, r in side[:5]) or NOTHING
         for side in (real, simulated)
-    )
-    return row("ack", name, shown, difference, at_s)
+    ]
+    return Row("ack", name, shown, difference, at_s)
 
 
 # --- exchanges and single answers -----------------------------------------------------------------
@@ -280,30 +271,26 @@ def once_rows(comparison: Comparison) -> Iterator[Row]:
     """A row for each field of what is said once; of what is repeated, the first one."""
     for number in _ONCE:
         real, simulated = (next((m for _, m in s.of(number)), None) for s in comparison.sides)
-        for name in real.fieldnames if real else ():
-            if name in ("time_usec", "time_boot_ms"):
+        for field in real.fieldnames if real else ():
+            if field in ("time_usec", "time_boot_ms"):
                 continue
-            ours, theirs = (getattr(m, name, None) for m in (real, simulated))
-            if name in _IDENTITY and simulated:
-                ours, theirs = ("given" if any(_listed(x)) else "not given" for x in (ours, theirs))
-            apart = _apart(ours, theirs, _TOLERANCES.get(name, 0.0))
-            shown = (str(ours), NOTHING if theirs is None else str(theirs))
-            yield row("said once", f"{message_name(number)}.{name}", shown, apart)
-
-
-def _listed(value: Any) -> list[Any]:
-    return value if isinstance(value, list) else [value]
+            ours, theirs = (getattr(m, field, NOTHING) for m in (real, simulated))
+            difference = math.inf
+            if simulated and field in _IDENTITY:
+                ours, theirs = ("given" if np.any(x) else "not given" for x in (ours, theirs))
+                difference = 0.0 if ours == theirs else math.inf
+            elif simulated:
+                difference = _apart(ours, theirs, _TOLERANCES.get(field, 0.0))
+            name = f"{message_name(number)}.{field}"
+            yield Row("said once", name, (str(ours), str(theirs)), difference)
 
 
 def _apart(ours: Any, theirs: Any, tolerance: float) -> float:
-    unlike = [
-        (a, b)
-        for a, b in zip(_listed(ours), _listed(theirs), strict=False)
-        if a != b and (a == a or b == b)  # NaN is like NaN
-    ]
-    if not unlike or not tolerance or not isinstance(unlike[0][1], int | float):
-        return math.inf if unlike else 0.0
-    return max(abs(a - b) / tolerance if a == a and b == b else math.inf for a, b in unlike)
+    """The most, in tolerances, of numbers or lists of them; NaN is like NaN only."""
+    a, b = np.array(ours, float), np.array(theirs, float)
+    unlike = (a != b) & ~(np.isnan(a) & np.isnan(b))
+    off = np.abs(a - b)[unlike] / (tolerance or 1e-300)
+    return float(np.nan_to_num(off, nan=math.inf).max(initial=0.0))
 
 
 # --- what changes: modes, arming, landing, fixes, estimators --------------------------------------
@@ -393,19 +380,19 @@ def stream_rows(comparison: Comparison) -> Iterator[Row]:
         allowed = max(COUNT_LEAST, COUNT_PART * len(real))
         if is_stream and usual_s * len(real) < 0.95 * (real[-1] - real[0]):
             allowed = max(allowed, COMING_AND_GOING_S / usual_s)
-        apart = abs(len(real) - len(simulated)) / allowed if real and simulated else math.inf
-        yield Row("count", name, str(len(real)), str(len(simulated)), apart)
+        counts = len(real), len(simulated)
+        off = abs(counts[0] - counts[1]) / allowed if real and simulated else math.inf
+        yield Row("count", name, [str(n) for n in counts], off)
         if not is_stream or not simulated:
             continue
-
-        def seconds(kind: str, ours: float, theirs: float, allowed_s: float, at_s: float) -> Row:
-            shown = (f"{each:.2f} s" for each in (ours, theirs))
-            return row(kind, name, shown, abs(ours - theirs) / allowed_s, at_s)  # noqa: B023
-
-        yield seconds("first", real[0], simulated[0], max(FIRST_S, usual_s), real[0])
-        (ours_s, at_s), (theirs_s, _) = map(_longest_gap, (real, simulated))
-        allowed_s = max(SILENCE_S, 1.1 * usual_s, 0.05 * ours_s)
-        yield seconds("longest silence", ours_s, theirs_s, allowed_s, at_s)
+        gaps = [_longest_gap(times) for times in (real, simulated)]
+        allowed_s = max(SILENCE_S, 1.1 * usual_s, 0.05 * gaps[0][0])
+        for kind, seconds, within_s, at_s in (
+            ("first", (real[0], simulated[0]), max(FIRST_S, usual_s), real[0]),
+            ("longest silence", (gaps[0][0], gaps[1][0]), allowed_s, gaps[0][1]),
+        ):
+            shown = [f"{each:.2f} s" for each in seconds]
+            yield Row(kind, name, shown, apart(*seconds, within_s), at_s)
         if number not in _BY_OTHER_ROWS:
             yield _filling_row(name, *(_sample(side.heard(number)) for side in comparison.sides))
 
@@ -435,8 +422,8 @@ def _filling_row(name: str, real: Sequence[Any], simulated: Sequence[Any]) -> Ro
         elif varies and len(theirs) == 1:
             wrong.append((field, "varies", theirs[0]))
     wrong = [each for each in wrong if not _UNREAD.fullmatch(each[0])]
-    shown = (", ".join(f"{each[0]} {each[k]}" for each in wrong) for k in (1, 2))
-    return row("filling", name, shown, math.inf if wrong else 0.0)
+    shown = [", ".join(f"{each[0]} {each[k]}" for each in wrong) for k in (1, 2)]
+    return Row("filling", name, shown, math.inf if wrong else 0.0)
 
 
 def _values(messages: Sequence[Any], field: str) -> list[Any]:

@@ -7,28 +7,16 @@ from collections.abc import Callable
 
 import pytest
 
-from conformance import compare
+from conformance import AGREED, compare
 from conformance.flights import Recording, Side, flight_of, play
 
 Recorded = Callable[[str], Recording]
-AGREED = {
-    "arducopter-gps-loss.tlog": (242, 245),
-    "arducopter-guided-10mps.tlog": (223, 224),
-    "arducopter-guided-global-stream-faults.tlog": (233, 235),
-    "arducopter-lidar.tlog": (214, 223),
-    "arduplane-guided-reposition.tlog": (255, 256),
-    "px4-fixedwing-offboard.tlog": (256, 268),
-    "px4-gps-loss.tlog": (249, 258),
-    "px4-offboard-8mps.tlog": (256, 261),
-    "px4-offboard-short.tlog": (167, 173),
-}
-"""By recording: how many rows agreed when they were chosen, and how many there were."""
 
 
 @pytest.mark.sample(3)
 def test_the_simulated_autopilot_is_like_the_recorded_one(recorded: Recorded, name: str) -> None:
     recording = recorded(name)
-    flight = flight_of(recording)
+    flight = flight_of(recording.name)
     rows = compare(recording, flight, Side(play(recording, flight)))
     disagreeing = [row for row in rows if not row.agrees]
     assert [row for row in disagreeing if row.reason is None] == []

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from harness import Heard
 
-from conformance.rows import NOTHING, Comparison, Row, changes, message_name, row
+from conformance.rows import NOTHING, Comparison, Row, changes, message_name
 from vehicle_sim.geodesy import metres_per_degree
 
 BIN_S = 10
@@ -253,7 +253,7 @@ def _binned(
         if found:
             (difference, shown), message = max(found, key=lambda each: each[0])
             name = f"{begin_s} s to {begin_s + BIN_S} s"
-            yield Row(kind, name, message, shown, difference, begin_s)
+            yield Row(kind, name, (message, shown), difference, begin_s)
 
 
 def _beside(said: Sequence[Heard]) -> Callable[[float], Any]:
@@ -290,8 +290,8 @@ def battery_rows(comparison: Comparison) -> Iterator[Row]:
             if simulated:
                 pairs = zip(_charge(real[1]), _charge(simulated[1]), _CHARGE, strict=True)
                 apart = max(abs(a - b) / allowed for a, b, allowed in pairs)
-            shown = (f"{e[0]:.2f} V, {e[1]} %, {e[2]:.1f} A" if e else NOTHING for e in told)
-            yield row("battery", name, shown, apart, at_s)
+            shown = [f"{e[0]:.2f} V, {e[1]} %, {e[2]:.1f} A" if e else NOTHING for e in told]
+            yield Row("battery", name, shown, apart, at_s)
 
 
 def _charge(message: Any) -> tuple[float, float, float]:
