@@ -208,12 +208,14 @@ class Drawn(NamedTuple):
     """A way in which campaigns draw a fault, from some moment on."""
 
     number: int
-    """Its place among all ways.  A new one takes the next: a seed draws the others as before."""
+    """Its place among all ways.  A new one takes the next: the first round of `single`
+    draws the others as before."""
     line: str = ""
     """What its line says after its name; more lines follow after "; ".
 
-    `3..90` is a number between, with as many decimals; with L times the size of the vehicle, with V
-    its speed.  `[a|b]` is one of them, `after 2.0..6.0 s: ` so long after the first line.
+    `3..90` is a number between, with as many decimals, -60..60 one of either sign; with L times the
+    size of the vehicle, with V its speed.  `[a|b]` is one of them, `after 2.0..6.0 s: ` so long
+    after the first line.
     Campaigns fill in {gale}, the wind that the vehicle can stand, and what `ground_command` needs
     to select the autopilot's modes {guided} and {returns}.
     """

@@ -46,8 +46,8 @@ class Server:
     """Simulated time after which to end."""
     strict: bool = False
     """End with an error when something came in that the real autopilot does not survive."""
-    first_heartbeat_s: float = 60.0
-    """Wall time that lockstep waits for the companions at the start."""
+    first_heartbeat_s: float = 300.0
+    """Wall time that lockstep waits for the companions at the start: they may compile first."""
     silence_s: float = 30.0
     """Wall time without a word from a companion after which lockstep gives up."""
 

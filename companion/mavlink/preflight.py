@@ -312,7 +312,9 @@ def _position(session: PreflightInputs) -> Iterator[Check]:
     if vehicle.armed and on_ground and not state.armed_by_us:
         yield _check("armed", False, Reason.ARMED_ALREADY.text, Reason.ARMED_ALREADY.remedy)
     if distrusted := distrust(vehicle, state.now_s, state.task.limits):
-        yield _check("position", False, distrusted.text, distrusted.remedy)
+        is_early = distrusted is Reason.NO_FIX and vehicle.fix_at_s < 0.0
+        what = "no GPS fix was heard yet" if is_early else distrusted.text
+        yield _check("position", False, what, distrusted.remedy)
     elif here is not None:
         error = "" if vehicle.error_m is None else f", to {vehicle.error_m:.1f} m"
         north_m, east_m = (round(value) + 0 for value in here[:2])

@@ -108,8 +108,9 @@ def of_task(task: Task) -> Iterator[Broken]:
     yield from of_area(limits.north_m, limits.east_m)
     table = (
         (ceiling - floor <= _MIN_BAND_ERRORS * task.error_m, "altitude.ceiling_amsl_m", ceiling,
-         f"it must lie above altitude.floor_amsl_m = {floor:g} by more than 4 times "
-         "vehicle.tracking_error_m + navigation_error_m", "Widen the band."),
+         f"it must lie more than {_MIN_BAND_ERRORS * task.error_m:g} m above altitude.floor_amsl_m "
+         f"= {floor:g}: 4 times vehicle.tracking_error_m + navigation_error_m",
+         "Widen the band."),
         ((north - south) * (east - west) / task.cell_m**2 > MAX_CELLS, "planner.scan_range_m",
          range_m, f"the map has more than {MAX_CELLS:.0e} cells of R / 80",
          "Raise it, or make [area] smaller."),

@@ -97,6 +97,8 @@ def keys_of(kind: type, *names: str, **keys_by_name: str) -> Any:
 
 
 Model = TypeVar("Model", bound=BaseModel)
+_LIMITS = {"gt": "above", "ge": "of at least", "lt": "below", "le": "of at most"}
+"""Of numbers, by pydantic's names."""
 
 
 def validated(model: type[Model], table: dict[str, Any], where: str = "") -> Model:
@@ -108,12 +110,19 @@ def validated(model: type[Model], table: dict[str, Any], where: str = "") -> Mod
     kind, value, told = first["type"], first["input"], first.get("ctx", {})
     place = [step for step in first["loc"] if not str(step).startswith("(")]  # not a tag
     rule, remedy = first["msg"], "Give a valid value; see docs/files.md."
+    limits = [f"{word} {told[limit]:g}" for limit, word in _LIMITS.items() if limit in told]
     if kind == _RULE:
         value, remedy, place = told["value"], told["remedy"], [*place, told["field"]]
     elif kind == "missing":
         value, rule, remedy = None, "it is missing", f"Add {place[-1]}; see docs/files.md."
     elif kind == "model_type":
         rule = "it must be a table"
+    elif kind == "too_short":
+        rule, remedy = "it has no item", "Add one; see docs/files.md."
+    elif limits:
+        remedy = f"Write a number {' and '.join(limits)}."
+    elif kind.startswith(("float", "int")):
+        remedy = "Write a number, without quotes."
     field = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in place)
     if isinstance(value, dict | list) and len(value) > _MOST_SHOWN:
         value = f"{len(value)} items"

@@ -270,7 +270,8 @@ class Flight:
                 self.planned.append(PlannedSubpath(plan=entry))
             elif isinstance(entry, noted.LegBegun) and known.ready is not None:
                 begun = PlannedSubpath(plan=known.ready, leg=entry.number, begun_s=entry.t_s)
-                self.planned[-1] = begun
+                if self.planned[-1].leg is None:  # else one of the way back, which was not planned
+                    self.planned[-1] = begun
         self.moments = sorted(_moments(self.entries), key=lambda moment: moment.time_s)
 
     def _begins_of_boots_s(self) -> list[float]:

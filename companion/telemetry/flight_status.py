@@ -20,7 +20,7 @@ from companion.planner.procedure import off_path_m
 from companion.telemetry.flight_summary import FlightSummary
 from companion.world.columns import distance_to_terrain_m
 
-LOADS: Final = "loads the planner: compiled the first time, in some fifteen seconds"
+LOADS: Final = "loads the planner: compiled the first time, in 15 s, on a busy computer in minutes"
 _LOOKS = 0.5  # of the scan range R: what is farther away is not looked for
 _WARNED_S = 60.0  # for how long a warning or a text stands
 _MOVES_M_S = 0.2

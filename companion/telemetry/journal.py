@@ -31,6 +31,7 @@ _SHOWN_BYTES = 80  # of a line that is refused
 _MAX_BYTES = 64 * 2**20  # of a line: a fence of 100,000 corners takes 4 MB
 _NO_LINE = (msgspec.DecodeError, UnicodeDecodeError, LookupError, TypeError)
 _AS_WRITTEN = "Give the journal as the companion has written it."
+_OF_A_RUN = "Give the run folder of a flight: the one that was given to companion fly --out."
 
 
 @final
@@ -89,7 +90,7 @@ class Journal:
                         self._torn_bytes = len(line)
         except OSError as error:
             rule = f"it cannot be read ({error.strerror or error})"
-            raise InputError("journal", str(self.path), rule, "Give a run folder.") from error
+            raise InputError("journal", str(self.path), rule, _OF_A_RUN) from error
 
     def _line(self, text: bytes, where: str) -> Header | Entry | None:
         """What a line says; None: an entry of a kind that is not known.  Raises one of _NO_LINE."""

@@ -1,15 +1,30 @@
 """What every autopilot does alike, each by its own figures; another autopilot is data."""
 
 import math
+import sys
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from statistics import median
 from typing import Any
 
 import pytest
-from harness import GCS, KINDS, Rig, circling, flying, heartbeat, hover, hovering, item, setpoint
+from harness import (
+    GCS,
+    KINDS,
+    Rig,
+    circling,
+    cruising,
+    flying,
+    heartbeat,
+    hover,
+    hovering,
+    item,
+    setpoint,
+)
 from pymavlink.dialects.v20 import all as mavlink
 
+from vehicle_sim.autopilot import factory
 from vehicle_sim.autopilot.arducopter import FIRMWARE
 from vehicle_sim.autopilot.factory import PERSONALITIES
 from vehicle_sim.autopilot.legs import Route
@@ -297,3 +312,37 @@ def test_a_world_names_another_autopilot_and_it_flies_as_its_data_say(
     assert flown.texts() == ["Off we go"]
     beat = flown.last("HEARTBEAT")
     assert (beat.custom_mode, beat.autopilot, flown.mode) == (44, 0, "GUIDED")
+
+
+FLYING: dict[str, Callable[[], Rig]] = {
+    "arducopter": hovering,
+    "arduplane": circling,
+    "ideal": lambda: Rig("ideal").take_off(),
+    "px4copter": hover,
+    "px4plane": cruising,
+}
+
+
+@pytest.mark.parametrize("name", FLYING)
+def test_a_step_that_follows_a_path_calls_at_most_15_functions_of_the_autopilots(name: str) -> None:
+    rig, called, counts = FLYING[name](), set[Any](), list[int]()
+    rig.aim((300.0, 0.0, -40.0), (5.0, 0.0, 0.0))
+    if name == "px4plane":
+        assert rig.set_mode("Offboard") == ACCEPTED
+    where = str(Path(factory.__file__).parent)
+
+    def note(at: Any, event: str, _: Any) -> None:
+        if event == "call" and at.f_code.co_filename.startswith(where):
+            called.add(at.f_code)
+
+    for k in range(200):
+        if name == "arduplane":
+            rig.reposition(300.0, 0.0, 80.0)
+        elif k % 10 == 0:
+            rig.aim((300.0, 0.0, -40.0), (5.0, 0.0, 0.0))
+        called.clear()
+        sys.setprofile(note)
+        rig.step()
+        sys.setprofile(None)
+        counts.append(len(called))
+    assert 5 < median(counts) <= 15

@@ -1,6 +1,7 @@
 """The flown track out of frames, and what follows from vehicle times that begin again."""
 
 import csv
+import json
 import math
 from pathlib import Path
 from typing import Any
@@ -182,3 +183,12 @@ def test_a_place_beside_a_subpath_is_told_how_far_it_is_and_where_it_is_nearest(
         off_m, at_m = shapes.SubpathPoints(subpath).nearest(place)
         assert off_m == pytest.approx(away_m.min(), abs=0.03)
         assert at_m == pytest.approx(lengths_m[away_m.argmin()], abs=0.5)
+
+
+def test_legs_of_the_way_back_are_not_those_of_a_plan() -> None:
+    golden = Path(__file__).parents[2] / "replay/goldens/copter-goes-back/decisions.jsonl"
+    told = [json.loads(line) for line in golden.read_text(encoding="utf-8").splitlines()]
+    entries = [noted.entry_of(each) for each in told if each.get("kind") in ("plan ready", "leg")]
+    assert [each.number for each in entries if isinstance(each, noted.LegBegun)] == [1, 2, 3, 4]
+    planned = at(50.0, 130.0, entries=[header(), *entries]).planned
+    assert [(each.plan.plan_id, each.leg) for each in planned] == [(1, 1), (2, 2)]
