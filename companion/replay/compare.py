@@ -223,7 +223,7 @@ class Replay:
         if (why := why_not_recorded(told)) is not None:
             self._go_on()
             self._stop = f"at t {now_s:.1f} s ({why})", found.starts
-        elif self._stop is not None and now_s - self._known_s > _LEAP_S:
+        elif self._stop and session.clock.is_known and abs(now_s - self._known_s) > _LEAP_S:
             (where, start), self._stop = self._stop, None
             unknown = f"nothing is known from t {self._known_s:.1f} s to t {now_s:.1f} s"
             found.stops.append(f"{where}: {unknown}")

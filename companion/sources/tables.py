@@ -122,7 +122,7 @@ def validated(model: type[Model], table: dict[str, Any], where: str = "") -> Mod
     elif limits:
         remedy = f"Write a number {' and '.join(limits)}."
     elif kind.startswith(("float", "int")):
-        remedy = "Write a number, without quotes."
+        remedy = f"Write a {'whole ' * kind.startswith('int')}number, without quotes."
     field = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in place)
     if isinstance(value, dict | list) and len(value) > _MOST_SHOWN:
         value = f"{len(value)} items"

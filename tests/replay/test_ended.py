@@ -6,7 +6,8 @@ import struct
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 from short_flight import ScriptedLink, Vehicle, fly_short, mission_of, replayed, rewritten
@@ -15,7 +16,7 @@ from tlog import recorded_frames
 from companion.config import load_mission
 from companion.mission import machine
 from companion.mission.events import Outcome
-from companion.replay.compare import replay_of_folder
+from companion.replay.compare import Recorded, Replay, replay_of_folder
 from companion.replay.feed import outputs
 from companion.replay.what_if import what_if
 from companion.telemetry.inputs import FILE, Input, InputsFile
@@ -193,3 +194,19 @@ def test_what_a_recording_lacks_is_said_and_what_is_known_before_and_after_is_co
     assert replayed(run).difference.t_s > 36.0
     rewritten(run, lambda told: told.remove(next(t for t in told if t[0] == "complain")))
     assert replayed(run).difference.t_s < 35.0  # nothing says that the recording had stopped
+
+
+def test_a_companion_that_begins_beside_a_rebooted_vehicle_has_missed_something() -> None:
+    """Vehicle time has fallen since the recording stopped: nobody knows what came between."""
+    replay = Replay([], Recorded(iter([])), lambda _: pytest.fail("none flies"))
+
+    def look(call: Input, now_s: float, *, known: bool = True) -> None:
+        clock = SimpleNamespace(is_known=known)
+        replay._look_for_a_gap(call, cast("Any", SimpleNamespace(now_s=now_s, clock=clock)))
+
+    look(("run",), 100.0)
+    look(("recording_stopped", "full"), 100.0)
+    look(("start",), 0.0, known=False)
+    look(("run",), 5.0)
+    stop = "at t 100.0 s (full): nothing is known from t 100.0 s to t 5.0 s"
+    assert replay.found.stops == [stop]

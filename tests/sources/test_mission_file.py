@@ -435,6 +435,7 @@ REFUSED: list[tuple[str, str]] = [
     (COPTER.replace('"hold"', '"loiter"'), "end.action = 'loiter'.*'hold', 'land' or 'return'"),
     (COPTER.replace("climb_angle_deg = 17.0", "climb_angle_deg = 90.0"), "angle_deg.*less than 90"),
     (COPTER.replace("speed_m_s = 8.0", "speed_m_s = true"), "speed_m_s = True.*valid number"),
+    (vehicle("system_id = 1.5"), "system_id = 1.5: .*Write a whole number,"),
     (vehicle("navigation_error_m = -0.1"), "vehicle.navigation_error_m = -0.1: .*equal to 0"),
     # what a kind of vehicle cannot do
     (PLANE.replace("loiter_radius_m = 80.0", ""), "loiter_radius_m .*missing.*circles"),
