@@ -71,7 +71,8 @@ class Report(NamedTuple):
 def read_campaign(folder: Path) -> Campaign:
     """The data set of a campaign.  Raises InputError."""
     rows, facts = read_rows("FOLDER", folder), facts_of(folder)
-    expected = facts.get("runs")
+    expected, source = facts.get("runs"), facts.get("source")
+    named = source if isinstance(source, list) and source else [folder / "campaign.toml"]
     if rows.is_empty() and expected is None:
         remedy = "Give the folder that companion campaign has written."
         raise InputError("FOLDER", str(folder), "it holds no campaign", remedy)
@@ -79,7 +80,7 @@ def read_campaign(folder: Path) -> Campaign:
         folder=folder,
         rows=rows,
         expected=expected if isinstance(expected, int) else None,
-        source=tuple(map(str, facts.get("source") or [folder / "campaign.toml"])),
+        source=tuple(map(str, named)),
     )
 
 

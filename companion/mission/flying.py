@@ -11,7 +11,7 @@ import numpy as np
 from companion.mission import events, following, phases, way_back
 from companion.mission.battery import gives_up_for_battery, warn_of_battery
 from companion.mission.decisions import AT_M, Context, Turn, in_words, waits_for_fence
-from companion.mission.events import Event, Landed, Mode, Position, Vector
+from companion.mission.events import Battery, Event, Landed, Mode, Position, Vector
 from companion.mission.following import come_to_rest, rest_at_end, send_hold
 from companion.mission.health import TRUST_S
 from companion.mission.phases import OnPath, Phase, Reason, Trigger
@@ -39,22 +39,23 @@ _MORE_SCANS = 2  # from rest, if the radar has left something out
 def on_path(state: State, stage: phases.Led, event: Event, turn: Turn) -> None:
     """phases.Flying and returning: follow the leg, or hold while there is none."""
     if not isinstance(event, Position):
-        if isinstance(stage, phases.Flying):
+        if isinstance(event, Battery) and state.vehicle.battery_short_at_s is None:
+            warn_of_battery(state, turn)
+        elif isinstance(stage, phases.Flying):
             on_answer(state, stage, event, turn)
         return
     if stage.path is None and looks_at_circle(state, turn):
         return
-    # perhaps: it has to last a while
-    is_short = stage.phase is Phase.FLYING and state.vehicle.battery_short_at_s is not None
-    if is_short and gives_up_for_battery(state):
-        following.stop(state, Reason.BATTERY_LOW, turn)
+    if state.vehicle.battery_short_at_s is not None:  # perhaps: it has to last a while
+        if stage.phase is Phase.FLYING and gives_up_for_battery(state):
+            following.stop(state, Reason.BATTERY_LOW, turn)
+        warn_of_battery(state, turn)
     stops = stage.path is not None and stage.path.stop is not None
     unread = state.fence_unread_s is not None and not stops
     if unread and turn.trigger is None and waits_for_fence(state, turn.context):
         following.stop(state, Reason.FENCE_UNREAD, turn)
     if turn.trigger is not None:
         return
-    warn_of_battery(state, turn)
     if stage.path is None:
         assert isinstance(stage, phases.Flying)  # what returns has a path
         return _hover(state, stage, event, turn)

@@ -100,6 +100,11 @@ class Leg:
         at_m = self.subpath.length_m - self.task.scan_distance_m
         return 0.0 if self.task.settings.is_near else max(at_m, 0.0)
 
+    @cached_property
+    def slows_at_m(self) -> float:
+        """Length flown from which on the reference point may have to slow down for its end."""
+        return self.subpath.length_m - slowing_m(self.motion, self.motion.speed_m_s)
+
     def leaves(self, reference: Reference) -> Reference:
         """The reference point at p_prog, if the successor is asked for now.
 
@@ -262,7 +267,7 @@ def advance(
     allowed = min(paced_m_s(leg.subpath, motion, at_m), max(slows_to_m_s, speed - slower))
     if until_m < math.inf:
         allowed = min(allowed, slowed_m_s(left_m, motion.braking_m_s2, 0.0))
-    if until_m < math.inf or not goes_on:
+    if (until_m < math.inf or not goes_on) and at_m > leg.slows_at_m - _ROUNDING_M:
         allowed = min(allowed, ending_m_s(motion, length_m - at_m))
     gains = min(max(1.0 - lead / (_GAINS * motion.lag_m), 0.0), 1.0)
     faster = motion.gaining_m_s2 * elapsed_s * gains

@@ -18,7 +18,6 @@ so that a power cut does not take them, except where the vehicle is simulated an
 
 import fcntl
 import io
-import mmap
 import os
 import struct
 from collections.abc import Generator, Iterable, Mapping, Sequence
@@ -286,10 +285,7 @@ class Records:
 
 def _whole_lines(path: Path) -> int:
     """Where the last whole line ends."""
-    if not path.stat().st_size:
-        return 0
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as lines:
-        return lines.rfind(b"\n") + 1
+    return path.read_bytes().rfind(b"\n") + 1
 
 
 def known_map(path: Path) -> KnownMap:
