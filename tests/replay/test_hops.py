@@ -19,7 +19,7 @@ from companion.telemetry import inputs
 from companion.telemetry.inputs import InputsFile
 
 OURS = str(Path(companion.__file__).parent)
-MOST_CALLS, MOST_FILES = 48, 14
+MOST_CALLS, MOST_FILES = 43, 12
 ENOUGH = 300  # positions on a leg
 
 
