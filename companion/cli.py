@@ -72,7 +72,7 @@ app = typer.Typer(
     help=(
         "Plans a drone's path online, past mountains and radars that it knows only in part, "
         "and flies it over MAVLink.\n\n"
-        "Start with **companion plan environment-1 environment-1**: no vehicle needed. "
+        "Start with **companion plan environment-1**: no vehicle needed. "
         "Then fly it: start **vehicle-sim environment-1 --lockstep** in one terminal and "
         "**companion fly environment-1 --lockstep** in another."
     ),
@@ -217,7 +217,12 @@ def preflight_command(
 @app.command("plan")
 def plan_command(
     world: Annotated[str, typer.Argument(metavar="WORLD", help="A world.toml or a bundled name.")],
-    mission: MissionArgument,
+    mission: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="MISSION", help="A mission.toml; by default the bundled one of WORLD."
+        ),
+    ] = None,
     figure: FigureOption = Path("plan.png"),
     seed: SeedOption = 1,
     profile: ProfileOption = None,
@@ -227,7 +232,8 @@ def plan_command(
     Writes a picture: the path in three dimensions, from above, and as a vertical profile.
     """
     console, picture = plain_console(), picture_file("--figure", figure)
-    chosen, place = load_mission(mission, profile), load_world(world)
+    place, mission = load_world(world), mission or world
+    chosen = load_mission(mission, profile)
     rule = remedy = ""
     if place.origin_deg != (chosen.frame.latitude_deg, chosen.frame.longitude_deg):
         rule = f"the mission's origin differs from that of the world, {place.origin_deg}"

@@ -1,5 +1,6 @@
 """The recorder: the only writer of the run folder during a flight."""
 
+import math
 import queue
 import threading
 from collections.abc import Callable
@@ -86,19 +87,20 @@ class WriterThread:
     def __init__(self, recorder: Recorder) -> None:
         self._recorder = recorder
         self._outputs: queue.SimpleQueue[Output | None] = queue.SimpleQueue()
+        self._last_bytes = math.inf  # so much is recorded: once the queue was full, what waited
         self._put_bytes = self._written_bytes = 0  # each is changed by one thread only
         self._seen_bytes, self._seen_s, self._still_s = 0, recorder.clock(), 0.0
         self._thread = threading.Thread(target=self._run, name=WRITER, daemon=True)
         self._thread.start()
 
     def put(self, out: Output) -> None:
-        """Queue an output; once the queue is full nothing more is recorded."""
-        folder = self._recorder.folder
+        """Queue an output; once the queue is full, what waits is the last that is recorded."""
         self._look()
-        if folder.failure is not None and out.checkpoint is None:
-            return
         if self._put_bytes - self._written_bytes > _MOST_WAITING:
-            folder.failure = "the disk is too slow"
+            self._last_bytes = min(self._last_bytes, self._put_bytes)
+            return
+        stopped = self._recorder.folder.failure is not None or self._last_bytes < math.inf
+        if stopped and out.checkpoint is None:
             return
         self._put_bytes += out.size
         self._outputs.put(out)
@@ -123,7 +125,11 @@ class WriterThread:
             self._recorder.tell(WRITER, f"it has stood still for {self._still_s:.1f} s")
 
     def _run(self) -> None:
-        while (out := self._outputs.get()) is not None:
+        out: Output | None = Output()
+        while out is not None:
             self._recorder.put(out)
             self._written_bytes += out.size
+            out = self._outputs.get()
+            if self._written_bytes >= self._last_bytes:
+                self._recorder.folder.failure = "the disk is too slow"
         self._recorder.close()

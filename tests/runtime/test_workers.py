@@ -375,19 +375,26 @@ def test_a_disk_that_blocks_delays_no_stream(rig: Rig, monkeypatch: pytest.Monke
     assert rig.longest_gap_s < BAR_S
 
 
-def test_a_slow_disk_keeps_so_much_waiting(
+def test_of_a_slow_disk_so_much_waits_and_all_of_that_is_recorded(
     folder: RunFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(recorder, "_MOST_WAITING", 100_000)
-    monkeypatch.setattr(recorder, "_LEAVE_S", 0.1)
-    released = threading.Event()
-    monkeypatch.setattr(folder, "frames", lambda _stamped: released.wait())
-    writes = recorder.Recorder(folder, time.monotonic, lambda _failure: None)
-    writer = recorder.WriterThread(writes)
-    for _ in range(1000):
-        writer.put(Output(record=[(0.0, bytes(1000))]))
-    assert folder.failure == "the disk is too slow"
-    assert writer._put_bytes <= 101_000
+    released, write = threading.Event(), folder.frames
+
+    def frames(stamped: list[tuple[float, bytes]]) -> None:
+        released.wait()
+        write(stamped)
+
+    monkeypatch.setattr(folder, "frames", frames)
+    told = list[Failure]()
+    writer = recorder.WriterThread(recorder.Recorder(folder, time.monotonic, told.append))
+    for number in range(1000):
+        writer.put(Output(record=[(float(number), bytes(1000))]))
+    assert 100_000 < writer._put_bytes <= 101_000
     released.set()
+    writer.put(Output(record=[(1000.0, bytes(1000))], checkpoint={"number": 1000}))
     writer.close()
     assert not writer._thread.is_alive()
+    assert (folder.path / "flight.tlog").stat().st_size == 101 * 1008
+    assert folder.failure == "the disk is too slow"
+    assert [failure.error for failure in told] == ["the disk is too slow"]
