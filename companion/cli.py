@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import io
+import json
 import os
 import platform
 import sys
@@ -14,8 +15,9 @@ from datetime import UTC, datetime
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, NamedTuple, TextIO, cast, final
+from typing import Annotated, Literal, NamedTuple, TextIO, cast, final
 
+import msgspec
 import typer
 from rich.console import Console
 
@@ -34,6 +36,7 @@ from companion.live_view.command import VIEW_PORT, PortOption, started_view, sta
 from companion.mavlink.preflight import CheckStatus, checks_of, not_heard
 from companion.mavlink.signing import Signing
 from companion.mission.events import Outcome
+from companion.mission.journal import KINDS, Header
 from companion.mission.mission import Mission
 from companion.mission.state import Reason
 from companion.paper.compare.command import compare_command
@@ -47,7 +50,15 @@ from companion.runtime.preflight import run_preflight
 from companion.runtime.terminal import Terminal, stop_signals
 from companion.session import Session
 from companion.sources.files import picture_file, writing
-from companion.telemetry.flight_status import LOADS, SCHEMA, VERSION, FlightBegun, flight_status
+from companion.sources.mission_file import MissionTable, ThreatsTable
+from companion.telemetry.flight_status import (
+    LINES,
+    LOADS,
+    SCHEMA,
+    VERSION,
+    FlightBegun,
+    flight_status,
+)
 from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.resume import ResumeData, load_resume_data
 from companion.telemetry.run_folder import RunFolder
@@ -294,6 +305,33 @@ def check_command(mission: MissionArgument, profile: ProfileOption = None) -> No
     console.print(mission_summary(chosen), highlight=False, markup=False)
     for note in chosen.notes:
         console.out(f"note: {note}", highlight=False)
+
+
+@app.command("schema")
+def schema_command(
+    of: Annotated[
+        Literal["mission", "journal", "status"],
+        typer.Argument(metavar="WHAT", help="mission, journal or status.", show_default=False),
+    ],
+) -> None:
+    """Print a JSON schema: of mission.toml, of a line of journal.jsonl, or of `fly --json`.
+
+    An editor that knows it completes and checks a mission as it is written. Of world.toml:
+    **vehicle-sim --schema**.
+    """
+    if of == "mission":
+        schema = MissionTable.model_json_schema()
+        schema["properties"]["threats"]["anyOf"].append(ThreatsTable.model_json_schema())
+        for table in (schema, *schema["$defs"].values()):
+            table.pop("required", None)  # a plan that is named may hold it: `check` says what lacks
+    else:
+        kinds = (Header, *KINDS.values()) if of == "journal" else LINES
+        said, defs = msgspec.json.schema_components(kinds, schema_hook=lambda _: {"type": "object"})
+        for value in defs.get("Certificate", {}).get("properties", {}).values():
+            value["type"] = [value["type"], "null"]  # JSON has no infinite numbers
+        schema = {"anyOf": said, "$defs": defs}
+    schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
+    typer.echo(json.dumps(schema, indent=2))
 
 
 def _print_version(wanted: bool) -> None:

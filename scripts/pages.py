@@ -19,7 +19,7 @@ from companion.mission import journal
 from companion.mission.phases import By, Phase, Reason, Trigger
 from companion.path.certificate import Certificate
 from companion.planner.request import Refusal
-from companion.telemetry.flight_status import FlightBegun, FlightEnded, FlightStatus
+from companion.telemetry.flight_status import LINES
 from companion.world.zones import CircleZone, PolygonZone
 from vehicle_sim import world
 from vehicle_sim.faults import faults_page
@@ -30,12 +30,11 @@ Schema = dict[str, Any]
 
 # --- classes as tables, by their JSON schema and the words below each field
 
-_LINES: Final = FlightBegun, FlightStatus, FlightEnded
 _OBJECTS: Final = {"Certificate": Certificate, "Circle": CircleZone, "Polygon": PolygonZone}
 _WORLD: Final[Schema] = TypeAdapter(world.World).json_schema()
 _DEFINED: Final[Schema] = _WORLD["$defs"] | dict(
     msgspec.json.schema_components(
-        [journal.Header, *journal.KINDS.values(), *_LINES, *_OBJECTS.values()],
+        [journal.Header, *journal.KINDS.values(), *LINES, *_OBJECTS.values()],
         schema_hook=lambda _: {"type": "object"},  # any zone
     )[1]
 )
@@ -146,7 +145,7 @@ def journal_page() -> str:
 def fly_json_page() -> str:
     """Every kind of line of `fly --json`."""
     return "\n".join(
-        section(f"## `{kind.__struct_config__.tag}`", kind, None, "kind") for kind in _LINES
+        section(f"## `{kind.__struct_config__.tag}`", kind, None, "kind") for kind in LINES
     )
 
 

@@ -3,6 +3,7 @@
 import errno
 import importlib.metadata
 import importlib.util
+import json
 import math
 import os
 import sys
@@ -54,6 +55,12 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
+def _schema(wanted: bool) -> None:
+    if wanted:
+        typer.echo(json.dumps(World.model_json_schema(), indent=2))
+        raise typer.Exit
+
+
 def _option(about: str, metavar: str | None = None, default: str | bool = True) -> Any:
     return typer.Option(help=about, metavar=metavar, show_default=default)
 
@@ -70,6 +77,7 @@ _Faults = _option("A timeline of faults, one a line.", "FILE")
 _Lockstep = _flag("--lockstep", "Advance only when the companion has answered.")
 _Step = _option("Between the vehicles' ports; 0: all on the same.", "K")
 _Strict = _flag("--strict", "End with 1 at what the real one does not survive.")
+_Schema = _flag("--schema", "Print the JSON schema of world.toml.", _schema)
 _Out = _option("Write DIR/truth.jsonl: where it really was.", "DIR")
 
 
@@ -91,6 +99,7 @@ def fly(
     seed: Annotated[int, _option("Of all that is random.", "S")] = 0,
     out: Annotated[Path | None, _Out] = None,
     duration: Annotated[float | None, _option("End after S seconds of vehicle time.", "S")] = None,
+    schema: Annotated[bool, _Schema] = False,  # noqa: ARG001
     version: Annotated[bool, _flag("--version", "Say which version this is.", _version)] = False,  # noqa: ARG001
 ) -> None:
     """Parse, then fly."""

@@ -249,3 +249,7 @@ class FlightEnded(Struct, frozen=True, kw_only=True, tag_field="kind", tag="ende
     """Why, and what to do about it."""
     exit_code: int
     """Of the program."""
+
+
+LINES: Final = FlightBegun, FlightStatus, FlightEnded
+"""What `fly --json` prints: one, then many, then one."""
