@@ -10,6 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
+import grimp
 import msgspec
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
@@ -27,6 +28,7 @@ from vehicle_sim.faults import faults_page
 ROOT: Final = Path(__file__).parents[1]
 MARK: Final = "<!-- What follows is made from the code by scripts/docs. -->\n"
 Schema = dict[str, Any]
+_PROJECT: Final = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
 # --- classes as tables, by their JSON schema and the words below each field
 
@@ -209,6 +211,39 @@ def troubleshooting_page() -> str:
     return "\n".join(lines) + "\n"
 
 
+def house() -> str:
+    """The packages of the companion, drawn from their imports: of those that others lead to, none.
+
+    Floors are the layers that import-linter holds; what nearly all need is left out.
+    """
+    contracts = _PROJECT["tool"]["importlinter"]["contracts"]
+    floors = next(each["layers"] for each in contracts if each.get("containers") == ["companion"])
+    names = [name for floor in floors for name in re.split(r" \| ", floor)]
+    graph, leads = grimp.build_graph("companion", cache_dir=None), dict[str, set[str]]()
+    for module in graph.modules:
+        room = _room(module, names)
+        for other in graph.find_modules_directly_imported_by(module):
+            leads.setdefault(room, set()).add(_room(other, names))
+    beyond = dict[str, set[str]]()  # from the lowest floor up: all that each leads to
+    lines = list[str]()
+    for name in reversed(names):
+        found = leads.get(name, set()) & set(names) - {name} - _CELLAR
+        direct = found - {each for other in found for each in beyond[other]}
+        beyond[name] = found.union(*(beyond[other] for other in found))
+        if name not in _CELLAR:
+            lines += [f"    {name} --> {other}" for other in sorted(direct, reverse=True)]
+    return "\n".join(["```mermaid", "flowchart TD", *reversed(lines), "```", ""])
+
+
+_CELLAR: Final = {"errors", "printable", "ranges", "caches", "extras", "entry_points", "profiles"}
+
+
+def _room(module: str, names: list[str]) -> str:
+    """The package that a module is in, of those that have a floor; "": none."""
+    inner = module.partition(".")[2]
+    return next((name for name in names if f"{inner}.".startswith(f"{name}.")), "")
+
+
 # --- third-party notices, from the metadata of what is installed
 
 
@@ -243,7 +278,7 @@ def _licence(package: Distribution) -> str:
 
 def notices() -> str:
     """What is installed with the project, by which extras, and under which licence."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    project = _PROJECT["project"]
     rows: dict[str, tuple[str, list[str]]] = {}
     for part, wanted in {"": project["dependencies"], **project["optional-dependencies"]}.items():
         for name, package in needed(wanted).items():
@@ -255,6 +290,7 @@ def notices() -> str:
 
 
 PAGES: Final = {
+    "docs/architecture": house,
     "docs/reference/faults": faults_page,
     "docs/reference/fly-json": fly_json_page,
     "docs/reference/journal": journal_page,
