@@ -272,8 +272,8 @@ def plan_command(
     with writing("--figure", picture):
         length_m = draw_offline(flight, chosen, true_map(place.terrain, flight.known), picture)
     legs = counted(len(flight.legs), "subpath")
-    said = f"{legs}, {length_m / 1000:.1f} km, planned in {took_s:.1f} s"
-    console.out(f"{said}; picture: {picture}", highlight=False)
+    summary = f"{legs}, {length_m / 1000:.1f} km, planned in {took_s:.1f} s"
+    console.out(f"{summary}; picture: {picture}", highlight=False)
     if flown.why:
         raise FlightFailed(flown.why, "")
 
@@ -292,8 +292,8 @@ def report_command(
     from companion.replay.exporting import write_report  # slow to import
 
     with plain_console(stderr=True).status("reading the flight"):
-        said = write_report(run_dir, out)
-    for line in said:
+        lines = write_report(run_dir, out)
+    for line in lines:
         plain_console().out(line, highlight=False)
 
 
@@ -326,10 +326,12 @@ def schema_command(
             table.pop("required", None)  # a plan that is named may hold it: `check` says what lacks
     else:
         kinds = (Header, *KINDS.values()) if of == "journal" else LINES
-        said, defs = msgspec.json.schema_components(kinds, schema_hook=lambda _: {"type": "object"})
+        any_of, defs = msgspec.json.schema_components(
+            kinds, schema_hook=lambda _: {"type": "object"}
+        )
         for value in defs.get("Certificate", {}).get("properties", {}).values():
             value["type"] = [value["type"], "null"]  # JSON has no infinite numbers
-        schema = {"anyOf": said, "$defs": defs}
+        schema = {"anyOf": any_of, "$defs": defs}
     schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
     typer.echo(json.dumps(schema, indent=2))
 
@@ -371,8 +373,8 @@ def main() -> None:
     except typer.Abort:
         sys.exit(_INTERRUPTED)
     except _USAGE_ERROR as error:
-        said = str(getattr(error, "format_message", error.__str__)())
-        text = printable(" ".join(said.split()))
+        message = str(getattr(error, "format_message", error.__str__)())
+        text = printable(" ".join(message.split()))
         if text:  # without: the help has been shown
             sys.stderr.write(f"error: {text.rstrip('.')}. See companion --help.\n")
         sys.exit(InputError.exit_code)
@@ -478,8 +480,8 @@ def _flown(
                 companion=version("companion"),
             )
             shows.machine.say(begun)
-            told = ("mission", "seed", "profile", "lockstep")
-            folder.header({name: getattr(begun, name) for name in told})
+            keys = ("mission", "seed", "profile", "lockstep")
+            folder.header({name: getattr(begun, name) for name in keys})
 
             def show(flown: FlightSummary) -> None:
                 status = flight_status(flown)

@@ -87,8 +87,8 @@ def refuse_older(run_dir: Path) -> None:
     Whatever else may be wrong with it is found by those who read it.
     """
     with suppress(OSError), (run_dir / "journal.jsonl").open("rb") as file:
-        if found := _OLDER.match(file.readline(_HEADER_BYTES)):
-            version = found[1].decode()
+        if match := _OLDER.match(file.readline(_HEADER_BYTES)):
+            version = match[1].decode()
             rule = f"an older companion has recorded it: its journal is of version {version}"
             raise InputError("RUN_DIR", str(run_dir), rule, "Use companion 0.2.0 for it.")
 

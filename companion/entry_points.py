@@ -42,15 +42,15 @@ class Parts(UserDict[str, Part]):
         if name in self._own:
             part: Part = self._own[name].load()
         else:
-            part = self._checked(_found(self._group)[name])
+            part = self._checked(_points_of(self._group)[name])
         self.data[name] = part
         return part
 
     def __contains__(self, name: object) -> bool:
-        return name in (*self._own, *self.data, *_found(self._group))
+        return name in (*self._own, *self.data, *_points_of(self._group))
 
     def __iter__(self) -> Iterator[str]:
-        return iter(dict.fromkeys([*self._own, *self.data, *_found(self._group)]))
+        return iter(dict.fromkeys([*self._own, *self.data, *_points_of(self._group)]))
 
     def __len__(self) -> int:
         return len([*iter(self)])
@@ -77,5 +77,5 @@ class Parts(UserDict[str, Part]):
 
 
 @lru_cache
-def _found(group: str) -> dict[str, EntryPoint]:
+def _points_of(group: str) -> dict[str, EntryPoint]:
     return {point.name: point for point in entry_points(group=group)}

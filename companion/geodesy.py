@@ -127,15 +127,15 @@ def parts_within(
         south_deg, north_deg = (-90.0, north_deg) if south_deg < -_POLAR_DEG else (south_deg, 90.0)
     longitudes = [corner[1] for corner in corners_deg]
     turned = round((frame.longitude_deg - 0.5 * (min(longitudes) + max(longitudes))) / 360.0)
-    found = []
+    parts = []
     for turns in (turned - 1, turned, turned + 1):
         part = [(latitude, longitude + 360.0 * turns) for latitude, longitude in corners_deg]
         part = _cut(part, 0, float(south_deg), 1.0)
         part = _cut(part, 0, float(north_deg), -1.0)
         part = _cut(part, 1, frame.longitude_deg - half_deg, 1.0)
         part = _cut(part, 1, frame.longitude_deg + half_deg, -1.0)
-        found += [part] if len(part) > 2 else []
-    return found
+        parts += [part] if len(part) > 2 else []
+    return parts
 
 
 def _cut(
@@ -145,7 +145,7 @@ def _cut(
     kept: list[tuple[float, float]] = []
     for k, corner in enumerate(corners):
         before = corners[k - 1]
-        inside, was_inside = (sign * (each[axis] - limit) >= 0.0 for each in (corner, before))
+        inside, was_inside = (sign * (point[axis] - limit) >= 0.0 for point in (corner, before))
         if inside is not was_inside:
             part = (limit - before[axis]) / (corner[axis] - before[axis])
             meets = [a + part * (b - a) for a, b in zip(before, corner, strict=True)]
@@ -161,11 +161,11 @@ def short_way(corners_deg: list[tuple[float, float]]) -> list[tuple[float, float
 
     None: the polygon goes around a pole.
     """
-    found = corners_deg[:1]
+    ring = corners_deg[:1]
     for latitude, longitude in corners_deg[1:]:
-        found.append((latitude, longitude + 360.0 * round((found[-1][1] - longitude) / 360.0)))
-    closes = found[-1][1] + wrap_deg(found[0][1] - found[-1][1]) if found else 0.0
-    return found if not found or abs(closes - found[0][1]) < 1.0 else None
+        ring.append((latitude, longitude + 360.0 * round((ring[-1][1] - longitude) / 360.0)))
+    closes = ring[-1][1] + wrap_deg(ring[0][1] - ring[-1][1]) if ring else 0.0
+    return ring if not ring or abs(closes - ring[0][1]) < 1.0 else None
 
 
 def straight_in_degrees(corners_deg: list[tuple[float, float]]) -> list[tuple[float, float]]:

@@ -36,9 +36,9 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
         numba.config.CACHE_DIR = str(folder)  # it may have been imported with another one
     for name in SOURCES:
         module = "companion." + name.replace("/", ".")
-        for each in list(vars(sys.modules.get(module, object)).values()):
-            if isfunction(each) and each.__module__ == module:
-                _callable(each)
+        for value in list(vars(sys.modules.get(module, object)).values()):
+            if isfunction(value) and value.__module__ == module:
+                _callable(value)
     jitted: Callable[..., Any] = numba.njit(cache=folder is not None, nogil=True)(function)
     return jitted
 
@@ -57,9 +57,9 @@ def cache_on_disk() -> Path | None:
     numba looks at the entry function's file alone to see whether its cache is stale, so the
     folder's name holds a digest of all that is compiled.  The environment's NUMBA_CACHE_DIR wins.
     """
-    here = Path(__file__)
+    this_file = Path(__file__)
     try:
-        files = (*(here.parent / f"{name}.py" for name in SOURCES), here)
+        files = (*(this_file.parent / f"{name}.py" for name in SOURCES), this_file)
         code = b"".join(file.read_bytes() for file in files)
     except OSError:
         return None  # installed without sources

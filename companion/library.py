@@ -142,16 +142,16 @@ def fly(
     return Flown(
         arrived=failure is None, why=why, points_nea_m=points, length_m=sum(flight.flown_m),
         terms=(terms := route_terms(points, task)), cost=sum(terms.values()),
-        seconds=flight.seconds, certificates=tuple(each.certificate for each in flight.plans),
+        seconds=flight.seconds, certificates=tuple(plan.certificate for plan in flight.plans),
         task=task, details=flight,
     )  # fmt: skip
 
 
 def _numbers(place: Sequence[float], count: int, field: str) -> tuple[float, ...]:
     """A place as so many finite numbers."""
-    if np.shape(place) != (count,) or not np.isfinite(found := np.asarray(place, float)).all():
+    if np.shape(place) != (count,) or not np.isfinite(values := np.asarray(place, float)).all():
         raise InputError(field, place, f"it is not {count} finite numbers", "Give metres.")
-    return tuple(found.tolist())
+    return tuple(values.tolist())
 
 
 def _checked(task: Task, *, is_near: bool) -> Task:
@@ -166,9 +166,9 @@ def _checked(task: Task, *, is_near: bool) -> Task:
         settings = replace(settings, cell_m=cell_m)
         task = replace(task, limits=limits, settings=settings)
     for where, held in (("limits", limits), ("settings", settings)):
-        told = {key: value for key, value in asdict(held).items() if key not in _NO_NUMBERS}
-        told |= {k: v.item() for k, v in told.items() if isinstance(v, np.generic)}
-        validated(keys_of(type(held), *told), told, where)
+        numbers = {key: value for key, value in asdict(held).items() if key not in _NO_NUMBERS}
+        numbers |= {k: v.item() for k, v in numbers.items() if isinstance(v, np.generic)}
+        validated(keys_of(type(held), *numbers), numbers, where)
     rules.refuse(rules.of_task(task))
     if isinstance(settings.optimiser, str):
         OPTIMISERS.chosen(settings.optimiser, "settings.optimiser")
@@ -196,7 +196,7 @@ def route_terms(points_nea_m: FloatArray, task: Task) -> dict[str, float]:
     middle = 0.5 * (points_nea_m[1:] + points_nea_m[:-1])
     step = np.linalg.norm(np.diff(points_nea_m, axis=0), axis=-1)
     floor, ceiling = task.band_amsl_m
-    seen = (detection_probability(each.distance_m(middle), each.range_m) for each in task.radars)
+    seen = (detection_probability(radar.distance_m(middle), radar.range_m) for radar in task.radars)
     high = step @ (middle[:, 2] - floor)
     return {
         "length": float(length * step.sum()),

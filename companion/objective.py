@@ -27,7 +27,7 @@ from companion.world.columns import Surface
 from companion.world.radars import Radar
 from companion.world.zones import NearCells, ZoneTable, polygon_at
 
-TERMS = (*(each.name for each in fields(Weights)), "to_go")
+TERMS = (*(weight.name for weight in fields(Weights)), "to_go")
 """Names of the terms of the cost; what is left to fly after the end weighs as much as length."""
 LENGTH, HEIGHT, GUIDE, CRASH, RADAR, CONSTRAINTS, TO_GO = range(len(TERMS))
 
@@ -147,7 +147,7 @@ def rows_of(pose: Pose) -> FloatArray:
 
 def radar_table(radars: tuple[Radar, ...], margin_m: float) -> FloatArray:
     """Radars as `Scene.radars`; margin_m: beyond their range, for what lies between samples."""
-    rows = [(*each.centre_nea_m, each.range_m, each.range_m + margin_m) for each in radars]
+    rows = [(*radar.centre_nea_m, radar.range_m, radar.range_m + margin_m) for radar in radars]
     return np.array(rows, dtype=np.float64).reshape(-1, 5)
 
 
@@ -160,7 +160,7 @@ def cost(x: FloatArray, bound: float, scene: Scene) -> float:
     Its terms, unweighted, stay in `scene.at.terms`, in the order of `TERMS`.
     """
     a, at, terms, r = scene.weights, scene.at, scene.at.terms, scene.scan_range_m
-    each = PER_SAMPLE / (len(at.flown_m) - 1)
+    per_sample = PER_SAMPLE / (len(at.flown_m) - 1)
     place_control_points(x, scene)
     evaluate(0, at)
     measure(at)
@@ -178,18 +178,18 @@ def cost(x: FloatArray, bound: float, scene: Scene) -> float:
     terms[LENGTH] += slower_m * PER_LENGTH / r
     total += a[LENGTH] * slower_m * PER_LENGTH / r
     short_m = max(scene.margin * scene.shortest_m - at.flown_m[-1], 0.0)
-    terms[RADAR] = each * RADAR_SCALE * detection(scene)
-    terms[CONSTRAINTS] = PER_SAMPLE * SHORT_SCALE * short_m / r + each * steered
+    terms[RADAR] = per_sample * RADAR_SCALE * detection(scene)
+    terms[CONSTRAINTS] = PER_SAMPLE * SHORT_SCALE * short_m / r + per_sample * steered
     total += a[RADAR] * terms[RADAR] + a[CONSTRAINTS] * terms[CONSTRAINTS]
     if total > bound:
         return math.inf
-    scale, outside = a[CONSTRAINTS] * each * OUTSIDE_SCALE, leaving(scene)
+    scale, outside = a[CONSTRAINTS] * per_sample * OUTSIDE_SCALE, leaving(scene)
     outside += intruding(scene, (bound - total) / max(scale, 1e-12) - outside)
-    terms[CONSTRAINTS] += each * OUTSIDE_SCALE * outside
+    terms[CONSTRAINTS] += per_sample * OUTSIDE_SCALE * outside
     total += scale * outside
     if total > bound:
         return math.inf
-    scale = each * CRASH_SCALE / scene.safety_distance_m
+    scale = per_sample * CRASH_SCALE / scene.safety_distance_m
     most_m = _SURELY * (bound - total) / max(a[CRASH] * scale, 1e-12)
     low_m = too_low_m(scene, most_m)
     if scene.motion.loiter_m == 0.0:  # a plane circles, and its surface stands off by that

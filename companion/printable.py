@@ -29,9 +29,9 @@ def with_printable_texts(value: Any) -> Any:
             return printable(value)
         case dict():
             return {
-                with_printable_texts(key): with_printable_texts(each) for key, each in value.items()
+                with_printable_texts(key): with_printable_texts(item) for key, item in value.items()
             }
         case list():
-            return [with_printable_texts(each) for each in value]
+            return [with_printable_texts(item) for item in value]
         case _:
             return value

@@ -98,7 +98,7 @@ class Session:
         self.context = Context(
             mission=mission, seed=seed, lockstep=lockstep, shadow=shadow, go=go or lockstep
         )
-        self.found = ""
+        self.vehicle_name = ""
         """What the vehicle says that it is."""
         self.last_scan: events.ScanDone | None = None
         self.warned: tuple[float, str] = (-math.inf, "")
@@ -291,9 +291,9 @@ class Session:
 
     def scan_now(self) -> None:
         """Start a radar scan in any phase (before a flight)."""
-        here = self.state.vehicle.position_nea_m
-        if here is not None and self.state.targets_ne_m:
-            self._start_scan(here)
+        position = self.state.vehicle.position_nea_m
+        if position is not None and self.state.targets_ne_m:
+            self._start_scan(position)
 
     def hold_frames(self) -> list[bytes]:
         """The frames that put a vehicle under our control on hold, unsigned: no side effects."""
@@ -335,8 +335,10 @@ class Session:
             counts = self._takes_time(heard)
         self._out.record.append((self.clock.now_s, heard.frame))
         if component == COMPANION_COMPONENT:  # another process with our ids may have sent it
-            found = self._outbox.duplicates.heard(heard.frame, self.selector.system_id, self.now_s)
-            self._handle(found)
+            duplicate = self._outbox.duplicates.heard(
+                heard.frame, self.selector.system_id, self.now_s
+            )
+            self._handle(duplicate)
         if counts and number in COMMANDS:
             self._serve(heard)
         if counts and is_ours:
@@ -368,9 +370,9 @@ class Session:
 
     def _on_radar(self, heard: Incoming) -> None:
         """A message of the radar: its answers to a scan, and when to look whether it is over."""
-        scan, here = self._scan, self.state.vehicle.position_nea_m
-        if heard.number in TERRAIN and isinstance(scan, TerrainDownload) and here is not None:
-            scan.on_message(heard.message, here)
+        scan, position = self._scan, self.state.vehicle.position_nea_m
+        if heard.number in TERRAIN and isinstance(scan, TerrainDownload) and position is not None:
+            scan.on_message(heard.message, position)
         self._scan_on()
 
     def _on_sensor(self, heard: Incoming) -> None:
@@ -392,15 +394,15 @@ class Session:
         if self.vehicle is not None:
             return
         system, name = heard.system, described(heard.message)
-        self.found = name
+        self.vehicle_name = name
         self.vehicle = AutopilotClient.found(heard.message, self.context)
         traits = None
         if self.vehicle is not None:
             self._component = Component(self.mission, system, self._version)
             traits = self.vehicle.autopilot.traits
-        found: dict[str, Any] = {"system_id": system, "name": name}
-        self._note({"kind": "vehicle found", **found})
-        self._handle(events.VehicleFound(time_s=self.now_s, traits=traits, **found))
+        facts: dict[str, Any] = {"system_id": system, "name": name}
+        self._note({"kind": "vehicle found", **facts})
+        self._handle(events.VehicleFound(time_s=self.now_s, traits=traits, **facts))
 
     def _on_position(self, heard: Incoming) -> None:
         """A position, which drives the mission; a due plan takes effect before it."""
@@ -418,8 +420,8 @@ class Session:
         if vehicle.is_news:
             self._look_at_news(vehicle)
         if self.state.stage.phase in (Phase.PREPARING, Phase.READY):  # the checks go on
-            if (here := self._preflight.scan_position(self)) is not None:
-                self._start_scan(here)
+            if (centre := self._preflight.scan_position(self)) is not None:
+                self._start_scan(centre)
             else:
                 self._handle(self._preflight.judged(self))
         if self._scan is not None:
@@ -616,8 +618,8 @@ class Session:
         of = centre_nea_m, self.state, self.now_s
         scan = TerrainDownload(self.mission, *of) if self.near is None else self.near.begun(*of)
         self._scan = scan
-        told = {"kind": "scan", "centre_nea_m": list(centre_nea_m), "blocks": scan.asked}
-        self._note(told)
+        entry = {"kind": "scan", "centre_nea_m": list(centre_nea_m), "blocks": scan.asked}
+        self._note(entry)
         self._scan_on()
 
     # --- events and commands
@@ -656,13 +658,17 @@ class Session:
             if self._end is not None and not ends:
                 return  # it was refused, and that has ended the mission: the rest counts no more
         if ends:
-            told = tuple(each for each in commands if isinstance(each, SetMode | Disarm))
-            self._last_asked = told  # nothing from before counts any more
+            last_asked = tuple(
+                command for command in commands if isinstance(command, SetMode | Disarm)
+            )
+            self._last_asked = last_asked  # nothing from before counts any more
             self._broke_off_landing = before.phase is Phase.LANDING
-            self._status = None if told else self._status
+            self._status = None if last_asked else self._status
             assert self._end is not None
-            held = any(isinstance(each, SetMode) and each.mode is Mode.HOLD for each in told)
-            text, messages = self._texts.end(self._end, held=held, disarmed=Disarm() in told)
+            held = any(
+                isinstance(command, SetMode) and command.mode is Mode.HOLD for command in last_asked
+            )
+            text, messages = self._texts.end(self._end, held=held, disarmed=Disarm() in last_asked)
             arrived = self._end.outcome is events.Outcome.ARRIVED
             self._note({"kind": "say", "text": text, "warning": not arrived})
             self._send_all(messages)
@@ -706,8 +712,8 @@ class Session:
         status = self._status
         if self._silence_told_s >= _NO_VEHICLE_S or not self._last_asked:
             return True
-        ours = (Mode.GUIDED, Mode.TAKE_OFF, *(Mode.LAND,) * self._broke_off_landing)
-        if status is None or status.mode in ours:
+        led_in = (Mode.GUIDED, Mode.TAKE_OFF, *(Mode.LAND,) * self._broke_off_landing)
+        if status is None or status.mode in led_in:
             return False  # in any other it, or somebody, has chosen
         return not (status.armed and Disarm() in self._last_asked)
 

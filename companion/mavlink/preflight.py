@@ -65,7 +65,7 @@ class PreflightInputs(Protocol):
     context: Context
     state: State
     vehicle: AutopilotClient | None
-    found: str
+    vehicle_name: str
     selector: VehicleSelector
     receiver: Receiver
     signing: Signing | None
@@ -200,8 +200,8 @@ def _remark(name: str, what: str, remedy: str = "") -> Check:
 
 def not_heard(session: PreflightInputs) -> tuple[str, str]:
     """Why there is no vehicle: what is heard instead; and what to do about it."""
-    if session.found:
-        what = f"{session.found}: none that this mission is for"
+    if session.vehicle_name:
+        what = f"{session.vehicle_name}: none that this mission is for"
         return what, "Check vehicle.kind and vehicle.autopilot of the mission."
     selector, wanted = session.selector, session.mission.system_id
     others, elsewhere = sorted(selector.others), sorted(selector.elsewhere)

@@ -83,18 +83,18 @@ def gives_up_for_battery(state: State) -> bool:
 
 def warn_of_battery(state: State, turn: Turn) -> None:
     """Warn once that the battery will not last at this flight's rate, and once that it does not."""
-    told, vehicle, tells = state.flight.battery_told, state.vehicle, 0
+    told_before, vehicle, warning = state.flight.battery_told, state.vehicle, 0
     if vehicle.battery_short_at_s is not None and battery_is_short(state):
-        tells = _TOLD_SHORT
-    elif told < _TOLD_FORECAST and vehicle.battery_full and vehicle.battery is not None:
+        warning = _TOLD_SHORT
+    elif told_before < _TOLD_FORECAST and vehicle.battery_full and vehicle.battery is not None:
         since_s, full = vehicle.battery_full
         elapsed_s, lost = state.now_s - since_s, full - vehicle.battery
         if elapsed_s >= _DRAIN_S and lost >= _TELLING:
             left_s = (vehicle.battery - turn.context.mission.reserve) * elapsed_s / (lost - _STEP)
             lasts = left_s >= way_left_m(state, _DETOUR) / state.task.limits.speed_m_s
-            tells = 0 if lasts else _TOLD_FORECAST
-    if tells > told:
-        state.flight.battery_told = tells
+            warning = 0 if lasts else _TOLD_FORECAST
+    if warning > told_before:
+        state.flight.battery_told = warning
         turn.warn(Reason.BATTERY_LOW.text)
 
 
@@ -103,20 +103,20 @@ def way_left_m(state: State, detour: float = 1.0) -> float:
 
     detour: how many times as long as that the way to the targets may become.
     """
-    here, flight = state.vehicle.position_nea_m, state.flight
+    position, flight = state.vehicle.position_nea_m, state.flight
     if flight.way is Way.BACK:
         path = state.path
         legs = (*flight.back,) if path is None else (path.leg, path.next_leg, *flight.back)
         ahead = [leg for leg in legs if leg is not None]
         flown_m = 0.0 if path is None else path.reference.length_m
-        if path is None and ahead and here is not None:  # stopped on the first of them
-            flown_m = following.nearest(ahead[0], here)[1]
+        if path is None and ahead and position is not None:  # stopped on the first of them
+            flown_m = following.nearest(ahead[0], position)[1]
         return sum(leg.subpath.length_m for leg in ahead) - flown_m + beyond_path_m(state)
-    if here is None or not state.targets_ne_m:
+    if position is None or not state.targets_ne_m:
         return 0.0
-    route, from_here = flight.route_ne_m, itertools.repeat(here[:2])
+    route, from_here = flight.route_ne_m, itertools.repeat(position[:2])
     if route:  # it begins where it was planned
         apart_m = list(map(math.dist, route, from_here))
         route = route[apart_m.index(min(apart_m)) :]
-    places = [here[:2], *route, *state.targets_ne_m[flight.target :]]
+    places = [position[:2], *route, *state.targets_ne_m[flight.target :]]
     return sum(map(math.dist, places, places[1:])) * detour

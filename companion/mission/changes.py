@@ -185,10 +185,10 @@ def _on_ground_seen(state: State, event: events.GroundSeen, turn: Turn) -> None:
 
 def _inside(state: State) -> str:
     """The name of a zone that the vehicle violates; empty: none."""
-    here = state.vehicle.position_nea_m
-    if here is None:
+    position = state.vehicle.position_nea_m
+    if position is None:
         return ""
-    zone, gap_m = nearest(state.task.zones, here[0], here[1])
+    zone, gap_m = nearest(state.task.zones, position[0], position[1])
     return zone.name if zone is not None and gap_m < 0.0 else ""
 
 

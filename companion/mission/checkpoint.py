@@ -108,7 +108,8 @@ def values_of(state: State) -> Values:
         standing=Reason.PAUSED.name if state.paused else _name(state.goal.value),
         set_aside=_name(state.goal.value) if state.paused else None,
         flown=[
-            (each.control_nea_m, each.from_m, each.until_m, each.speed_m_s) for each in flight.flown
+            (segment.control_nea_m, segment.from_m, segment.until_m, segment.speed_m_s)
+            for segment in flight.flown
         ],
         refusal=_name(flight.refusal),
         fallen_back=_name(flight.fallen_back),
@@ -205,7 +206,7 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
         refusal=None if saved.refusal is None else Refusal[saved.refusal],
         fallen_back=_reason(saved.fallen_back),
         way=Way.BACK if saved.returning else Way.HOME if saved.homeward else Way.OUT,
-        back=tuple(each.leg(task) for each in saved.back) if saved.returning else (),
+        back=tuple(saved_leg.leg(task) for saved_leg in saved.back) if saved.returning else (),
     )
     landing = saved.phase == Phase.LANDING.name
     state.stage = phases.Preparing(

@@ -114,7 +114,7 @@ def reason_text(state: State, reason: Reason) -> tuple[str, str]:
     why, _, remedy = refusal.value.partition("; ")
     broken = f"it broke {bounds_text(state.flight.broken)}" if state.flight.broken else ""
     why = "" if refusal is Refusal.NOTHING_SAFE else why  # else it is said twice
-    detail = "".join(f": {each}" for each in (why, broken) if each)
+    detail = "".join(f": {part}" for part in (why, broken) if part)
     return detail, f"{remedy[:1].upper()}{remedy[1:]}."
 
 

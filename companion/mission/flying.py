@@ -241,7 +241,7 @@ def _on_plan(state: State, stage: phases.Flying, event: events.PlanReady, turn: 
         if isinstance(outcome, NotPlanned):
             flight.refusal, flight.broken = outcome.refusal, outcome.broken
             if outcome.refusal is not was and outcome.place_ne_m is not None:  # proven, and news
-                north, east = (each / 1000.0 for each in outcome.place_ne_m)
+                north, east = (coordinate_m / 1000.0 for coordinate_m in outcome.place_ne_m)
                 turn.warn(f"no way: closed {north:.1f} km N, {east:.1f} km E of origin")
             is_led = stage.path is not None and not turn.context.shadow
             if is_led and outcome.refusal is Refusal.BETTER_TO_TURN:
@@ -305,15 +305,15 @@ def start_scan(stage: phases.Flying, centre_nea_m: Vector, turn: Turn, again: in
 def _hover(state: State, stage: phases.Flying, event: Position, turn: Turn) -> None:
     """Hold while waiting for a leg: here, or straight above at the take-off height."""
     flight, settings = state.flight, state.task.settings
-    here = flight.hover_nea_m or _waiting_place(state, event, turn.context)
+    hover = flight.hover_nea_m or _waiting_place(state, event, turn.context)
     task = task_ahead(state, turn.context)
     if task is not state.task:  # no lower than the next leg begins
-        here = here[0], here[1], max(here[2], task.band_amsl_m[0])
-    flight.hover_nea_m = here
+        hover = hover[0], hover[1], max(hover[2], task.band_amsl_m[0])
+    flight.hover_nea_m = hover
     target = state.targets_ne_m[flight.target]
-    if math.dist(here[:2], target) < AT_M and not flight.returning:
+    if math.dist(hover[:2], target) < AT_M and not flight.returning:
         return turn.to(Trigger.TARGET_REACHED)
-    looks = stage.search is None and _is_there(state, event, here)
+    looks = stage.search is None and _is_there(state, event, hover)
     moves = stage.search is None and abs(event.velocity_nea_m_s[2]) > 0.1  # on its way up or down
     if looks or moves:
         stage.progress_at_s = state.now_s
@@ -322,7 +322,7 @@ def _hover(state: State, stage: phases.Flying, event: Position, turn: Turn) -> N
         return _no_successor(state, stage, Reason.PLAN_LATE, turn)
     send_hold(state, event.time_s, turn)
     if looks:
-        start_scan(stage, here, turn)
+        start_scan(stage, hover, turn)
 
 
 def _waiting_place(state: State, event: Position, context: Context) -> Vector:
@@ -346,18 +346,18 @@ def task_ahead(state: State, context: Context) -> Task:
     return state.task
 
 
-def _is_there(state: State, event: Position, here: Vector) -> bool:
+def _is_there(state: State, event: Position, place: Vector) -> bool:
     """Whether the vehicle holds at the commanded place, or loiters there.
 
     No leg is planned for a plane that has not reached its circle yet, nor for a copter that is not
     within the tube that the leg begins with.
     """
     if state.vehicle.traits.hovers:
-        return math.dist(here, event.position_nea_m) <= min(AT_M, state.task.envelope.tube_m)
+        return math.dist(place, event.position_nea_m) <= min(AT_M, state.task.envelope.tube_m)
     error_m = max(AT_M, state.task.limits.tracking_error_m)
     level = abs(event.velocity_nea_m_s[2]) < _LEVEL_M_S
-    near = is_on_circle(here, event.position_nea_m, state.task.limits)
-    return near and level and abs(here[2] - event.position_nea_m[2]) <= error_m
+    near = is_on_circle(place, event.position_nea_m, state.task.limits)
+    return near and level and abs(place[2] - event.position_nea_m[2]) <= error_m
 
 
 # --- the phase `shadow`: plan for the vehicle and report, never command
@@ -388,15 +388,17 @@ def shadow(state: State, stage: phases.Flying, event: Event, turn: Turn) -> None
 
 def _watch(state: State, stage: phases.Flying, event: Position, turn: Turn) -> None:
     """Follow the vehicle along the leg that was planned, or plan one from where it is."""
-    flight, here, path = state.flight, event.position_nea_m, stage.path
+    flight, position, path = state.flight, event.position_nea_m, stage.path
     tracking_error_m = state.task.limits.tracking_error_m
-    if math.dist(here[:2], state.targets_ne_m[flight.target]) < max(_ARRIVED_M, tracking_error_m):
+    if math.dist(position[:2], state.targets_ne_m[flight.target]) < max(
+        _ARRIVED_M, tracking_error_m
+    ):
         come_to_rest(state)
         if flight.target + 1 < len(state.targets_ne_m):
             flight.target += 1
             turn.say("shadow: target reached")
     elif path is not None:
-        off_m, at_m = following.nearest(path.leg, here)
+        off_m, at_m = following.nearest(path.leg, position)
         if off_m > 3.0 * tracking_error_m:
             turn.say(f"shadow: the vehicle is {off_m:.0f} m off the path")
             come_to_rest(state)
@@ -404,7 +406,7 @@ def _watch(state: State, stage: phases.Flying, event: Position, turn: Turn) -> N
             _watch_leg(state, stage, path, at_m, turn)
     elif stage.search is None or state.now_s - stage.progress_at_s >= _SAY_AGAIN_S:
         stage.progress_at_s = state.now_s  # every few seconds until there is a leg
-        start_scan(stage, here, turn)
+        start_scan(stage, position, turn)
 
 
 def _watch_leg(state: State, stage: phases.Flying, path: OnPath, at_m: float, turn: Turn) -> None:

@@ -50,7 +50,7 @@ def lead_m(state: State) -> float:
 def advance_reference(state: State, stage: phases.Led, path: OnPath, event: Position) -> None:
     """Advance the reference point by one position; at p_prog switch to the next leg."""
     vehicle, leg, before = state.vehicle, path.leg, path.reference
-    here = np.asarray(event.position_nea_m)
+    position = np.asarray(event.position_nea_m)
     slows_to_m_s, leaves_at_m = math.inf, math.inf
     if path.next_leg is not None:
         leaves_at_m = leg.successor_at_m
@@ -61,13 +61,13 @@ def advance_reference(state: State, stage: phases.Led, path: OnPath, event: Posi
             before,
             leg,
             vehicle.position_step_s,
-            here,
+            position,
             goes_on=leg.through and path.next_leg is not None,
             until_m=math.inf if path.stop is None else path.stop.at_m,
             slows_to_m_s=slows_to_m_s,
         )
     else:
-        path.reference = procedure.follow(before, leg, here)
+        path.reference = procedure.follow(before, leg, position)
     if path.reference.length_m > before.length_m or path.circling:
         stage.progress_at_s = state.now_s
     path.circling = False
@@ -93,8 +93,8 @@ def outside_m(state: State, path: OnPath, event: Position) -> tuple[float, float
     if not state.vehicle.traits.hovers:
         off_m = procedure.off_disc_m(pose.point_nea_m, event.position_nea_m, motion.loiter_m)
         return max(off_m - allowed_m, 0.0), 0.0, 0.0
-    here = np.asarray(event.position_nea_m)
-    off = here - pose.position_nea_m
+    position = np.asarray(event.position_nea_m)
+    off = position - pose.position_nea_m
     ahead_m = float(off @ pose.tangent_nea)
     aside_m = math.sqrt(max(float(off @ off) - ahead_m**2, 0.0))
     # the path leaves its tangent by along^2 / 2 R at most where it bends no more than the turn
@@ -105,7 +105,7 @@ def outside_m(state: State, path: OnPath, event: Position) -> tuple[float, float
     if path.offset is not None:
         allowed_m += float(np.linalg.norm(path.offset.position_nea_m))
     past_m = min(beyond_m(motion), motion.tube_m)
-    across_m = procedure.off_path_m(reference, leg, here, past_m) - allowed_m
+    across_m = procedure.off_path_m(reference, leg, position, past_m) - allowed_m
     before_m = ahead_m - allowed_m
     far_m = abs(ahead_m) - motion.lag_m - allowed_m
     return max(across_m, 0.0), max(before_m, 0.0), max(far_m, 0.0)
@@ -228,9 +228,11 @@ def vehicle_at_m(state: State, path: OnPath) -> float:
     if vehicle.position_nea_m is None:
         return at_m
     pose = path.leg.subpath.pose(at_m)
-    here = np.asarray(vehicle.position_nea_m)
-    here = here + (state.now_s - vehicle.position_at_s) * np.asarray(vehicle.velocity_nea_m_s)
-    behind_m = float((pose.position_nea_m - here) @ pose.tangent_nea)
+    position = np.asarray(vehicle.position_nea_m)
+    position = position + (state.now_s - vehicle.position_at_s) * np.asarray(
+        vehicle.velocity_nea_m_s
+    )
+    behind_m = float((pose.position_nea_m - position) @ pose.tangent_nea)
     return max(at_m - max(behind_m, 0.0), 0.0)
 
 
@@ -250,9 +252,9 @@ def stop(state: State, reason: Reason, turn: Turn) -> None:
         path.reference = Reference(length_m=at_m, speed_m_s=reference.speed_m_s)
         point = leg.subpath.pose(at_m).point_nea_m
         if reason in (Reason.NEW_THREAT, Reason.FENCE_UNREAD):
-            here = state.vehicle.position_nea_m or point
+            position = state.vehicle.position_nea_m or point
             velocity = state.vehicle.velocity_nea_m_s
-            point = loiter_point(flight.known, state.task, here, velocity, point) or point
+            point = loiter_point(flight.known, state.task, position, velocity, point) or point
         requeue_backtrack(state, leg, path.next_leg)
         come_to_rest(state, point)
         return turn.fault(reason)
@@ -315,15 +317,15 @@ def end_of(path: OnPath) -> Vector:
 def send_hold(state: State, time_s: float, turn: Turn) -> None:
     """Hold position: a setpoint with an explicit velocity of zero."""
     flight, vehicle, yaw = state.flight, state.vehicle, turn.context.mission.yaw_rad
-    here, least_s = flight.hover_nea_m, vehicle.traits.setpoint_period_s
+    hover, least_s = flight.hover_nea_m, vehicle.traits.setpoint_period_s
     least_s -= 0.5 * vehicle.position_step_s
-    if here is None or state.now_s - flight.sent_at_s <= least_s:
+    if hover is None or state.now_s - flight.sent_at_s <= least_s:
         return
     sent = Setpoint(
         time_s=time_s,
-        position_nea_m=_on_the_way(state, here),
+        position_nea_m=_on_the_way(state, hover),
         velocity_nea_m_s=(0.0, 0.0, 0.0),
-        yaw_rad=_towards_target_rad(state, here) if yaw is None else yaw,
+        yaw_rad=_towards_target_rad(state, hover) if yaw is None else yaw,
         stay=True,
     )
     flight.sent, flight.sent_at_s = sent, state.now_s
@@ -424,17 +426,17 @@ def _led(state: State) -> tuple[Vector, Vector] | None:
     ArduPilot's is after a setpoint time-out.
     """
     vehicle, flight = state.vehicle, state.flight
-    here, velocity, echo = vehicle.position_nea_m, vehicle.velocity_nea_m_s, vehicle.echo
-    if here is None:
+    position, velocity, echo = vehicle.position_nea_m, vehicle.velocity_nea_m_s, vehicle.echo
+    if position is None:
         return None
     if not vehicle.traits.hovers:
-        return here, velocity
+        return position, velocity
     if flight.sent is not None and state.now_s - flight.sent_at_s < _FRESH_S:
         return flight.sent.position_nea_m, velocity
     near_m = 2.0 * state.task.limits.tracking_error_m + state.task.limits.speed_m_s * _FRESH_S
     age_s = math.inf if echo is None else state.now_s - echo.time_s
-    if echo is None or age_s > _FRESH_S or math.dist(echo.position_nea_m, here) >= near_m:
-        return here, velocity
+    if echo is None or age_s > _FRESH_S or math.dist(echo.position_nea_m, position) >= near_m:
+        return position, velocity
     velocity = echo.velocity_nea_m_s or velocity
     north, east, up = (at + age_s * v for at, v in zip(echo.position_nea_m, velocity, strict=True))
     return (north, east, up), velocity

@@ -222,18 +222,18 @@ def _refused(state: State, context: Context) -> Reason | None:
 
 def _in_flight(state: State, stage: phases.Preparing, turn: Turn) -> None:
     """Take over in the air: rejoin the path of the previous companion, or stop first."""
-    path, here = stage.path, state.vehicle.position_nea_m
-    mode, ours = state.vehicle.mode, (Mode.GUIDED, Mode.HOLD)
+    path, position = stage.path, state.vehicle.position_nea_m
+    mode, led_in = state.vehicle.mode, (Mode.GUIDED, Mode.HOLD)
     if path is None and not state.prepared.issuperset(_ASKED_FOR):
         return
     if not state.targets_ne_m:
         return turn.give_up(Reason.NO_TARGETS)
-    if path is not None and here is not None:  # so far it has come
-        _, at_m = following.nearest(path.leg, here)
+    if path is not None and position is not None:  # so far it has come
+        _, at_m = following.nearest(path.leg, position)
         path.reference = Reference(length_m=max(at_m, path.joined_m))
     turn.to(Trigger.IN_FLIGHT)
     if state.order is not None or state.taken or state.flight.returning:
-        led = mode in ours and not state.taken
+        led = mode in led_in and not state.taken
         state.because(Reason.TAKING_OVER if led else takeover_reason(state))
         return way_back.leave_path(state)
     asked = stage.asks > 0  # to hold: it may do so by now
@@ -242,7 +242,7 @@ def _in_flight(state: State, stage: phases.Preparing, turn: Turn) -> None:
         if joined is not None:
             stage.path, search = None, None if joined.next_leg is None else phases.Answered()
             return turn.to(Trigger.TAKE_OVER, phases.Flying(path=joined, search=search))
-    ours_or_up = mode in (*ours, Mode.TAKE_OFF)
+    ours_or_up = mode in (*led_in, Mode.TAKE_OFF)
     state.because(Reason.TAKING_OVER if ours_or_up else takeover_reason(state))
 
 
@@ -318,25 +318,27 @@ def _ask_to_take_off(state: State, turn: Turn) -> None:
 
 def may_take_off(state: State) -> bool:
     """Whether the vehicle is on the map and its climb-out clear of zones (planes: ahead)."""
-    task, here = state.task, state.vehicle.position_nea_m
-    if here is None:
+    task, position = state.task, state.vehicle.position_nea_m
+    if position is None:
         return False
-    for value, (low, high) in zip(here, (task.limits.north_m, task.limits.east_m), strict=False):
+    for value, (low, high) in zip(
+        position, (task.limits.north_m, task.limits.east_m), strict=False
+    ):
         if not low <= value <= high:
             return False
-    north, east = _climb_out_ne_m(state, here)
+    north, east = _climb_out_ne_m(state, position)
     gaps_m = zone_gaps_m(task.zones, north, east, 2.0 * task.zone_clearance_m)
     return bool(gaps_m.min() >= task.zone_clearance_m)
 
 
-def _climb_out_ne_m(state: State, here: Vector) -> tuple[FloatArray, FloatArray]:
+def _climb_out_ne_m(state: State, position: Vector) -> tuple[FloatArray, FloatArray]:
     """Ground track of the climb-out: straight up, or ahead along a plane's heading."""
     limits, heading = state.task.limits, state.vehicle.heading_rad
     climb_s = max(height_m(state), 0.0) / limits.climb_rate_m_s
     ahead_m = 0.0 if limits.hovers or heading is None else limits.speed_m_s * climb_s
     along = np.linspace(0.0, ahead_m, _CLIMB_SAMPLES)
     heading = heading or 0.0
-    return here[0] + along * math.cos(heading), here[1] + along * math.sin(heading)
+    return position[0] + along * math.cos(heading), position[1] + along * math.sin(heading)
 
 
 def height_m(state: State) -> float:

@@ -38,10 +38,10 @@ def take_position(vehicle: Vehicle, event: Position, limits: Limits) -> None:
     It has jumped if it cannot be reached from the last one: neither by the vehicle's limits nor,
     over a short time, at the reported velocities.
     """
-    before, here, at_s = vehicle.position_nea_m, event.position_nea_m, event.time_s
+    before, position, at_s = vehicle.position_nea_m, event.position_nea_m, event.time_s
     elapsed_s, is_stuck = 0.0, False
     if before is not None:
-        elapsed_s, step_m = at_s - vehicle.position_at_s, math.dist(before, here)
+        elapsed_s, step_m = at_s - vehicle.position_at_s, math.dist(before, position)
         far = step_m > _JUMP_SLACK_M
         jumps = far and step_m > _flown_at_most_m(elapsed_s, limits) + _JUMP_SLACK_M
         if not jumps and elapsed_s <= _STALE_S:
@@ -49,7 +49,7 @@ def take_position(vehicle: Vehicle, event: Position, limits: Limits) -> None:
             usual_m = _SURPRISE_M + _SURPRISE_SHARE * mean_m_s * elapsed_s
             jumps = math.hypot(north_m, east_m) > usual_m
         moves = math.hypot(*event.velocity_nea_m_s[:2]) > _STILL_M_S
-        is_stuck = moves and before[:2] == here[:2]
+        is_stuck = moves and before[:2] == position[:2]
         on_ground = vehicle.landed in (Landed.ON_GROUND, Landed.UNKNOWN)  # believed as it comes
         if on_ground or (at_s - vehicle.bad_at_s > TRUST_S and not jumps):
             vehicle.believed_at_s, vehicle.astray_ne_m, vehicle.blind_s = at_s, (0.0, 0.0), 0.0
@@ -59,7 +59,7 @@ def take_position(vehicle: Vehicle, event: Position, limits: Limits) -> None:
             vehicle.jumped_at_s = at_s
     if not is_stuck:
         vehicle.moved_at_s = at_s
-    vehicle.position_nea_m, vehicle.velocity_nea_m_s = here, event.velocity_nea_m_s
+    vehicle.position_nea_m, vehicle.velocity_nea_m_s = position, event.velocity_nea_m_s
     vehicle.heading_rad, vehicle.position_at_s = event.heading_rad, at_s
     vehicle.position_step_s = elapsed_s
 

@@ -296,7 +296,7 @@ def entry_of(values: dict[str, Any]) -> Entry:
     """Decode an entry; KeyError: unknown kind; msgspec.ValidationError."""
     kind = KINDS[values["kind"]]
     if kind is PlanReady and isinstance(proven := values.get("certificate"), dict):
-        known = {name: math.nan if each is None else each for name, each in proven.items()}
+        known = {name: math.nan if number is None else number for name, number in proven.items()}
         values = {**values, "certificate": known}
     return msgspec.convert(values, kind, strict=False, dec_hook=zone_of)  # an int may be 1.0
 
@@ -314,7 +314,7 @@ def zone_of(_: type, values: Any) -> Zone:
 def of_event(event: Event, state: State) -> Told | None:
     """The entry of an event, None for those only in the telemetry log; state: after the event."""
     if isinstance(event, Entry):
-        return _told(event)
+        return _values(event)
     match event:
         case events.ScanDone():
             return _entry(
@@ -353,7 +353,7 @@ def of_change(before: State, after: State) -> Iterator[Told]:
 
 def of_command(command: Command) -> Told | None:
     """The entry of a command; None for those that are only in the telemetry log."""
-    return _told(command) if command.kind in KINDS else None
+    return _values(command) if command.kind in KINDS else None
 
 
 def of_request(request: PlanRequest, due_s: float) -> Told:
@@ -371,12 +371,12 @@ def filled(kind: type[Value], *sources: object, **others: Any) -> Value:
 
 def _entry(kind: type[Entry], *sources: object, **others: Any) -> Told:
     """An entry without its time, as `filled`."""
-    return _told(filled(kind, *sources, **{"time_s": 0.0, **others}))
+    return _values(filled(kind, *sources, **{"time_s": 0.0, **others}))
 
 
-def _told(entry: Entry) -> Told:
+def _values(entry: Entry) -> Told:
     """Its fields, but for the time, which is added where it is noted."""
-    told: Told = msgspec.to_builtins(entry, enc_hook=plain)
+    values: Told = msgspec.to_builtins(entry, enc_hook=plain)
     for name in ("t_s", *UNTOLD):
-        told.pop(name, None)
-    return told
+        values.pop(name, None)
+    return values

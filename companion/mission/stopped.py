@@ -140,9 +140,9 @@ def _while_taken_over(state: State, held: phases.Holding, event: Event, turn: Tu
     if isinstance(event, Battery):
         return warn_of_battery(state, turn)
     mode = state.vehicle.mode
-    told = state.now_s - held.released_at_s < _TOLD_S
-    given_back = mode is Mode.GUIDED or (told and mode is Mode.HOLD)
-    if told or given_back or not _is_trusted(state):
+    was_told = state.now_s - held.released_at_s < _TOLD_S
+    given_back = mode is Mode.GUIDED or (was_told and mode is Mode.HOLD)
+    if was_told or given_back or not _is_trusted(state):
         _take_again(state, event, turn, given_back=given_back)
     elif held.released_at_s > 0.0:
         held.released_at_s = -1e9
@@ -400,10 +400,14 @@ def _end(state: State, stage: phases.Stopped, turn: Turn) -> None:
 
 def say_reached(state: State, turn: Turn) -> None:
     """Text at a target; for a plane that missed it by too much, with the distance."""
-    here, there, limits = state.vehicle.position_nea_m, state.flight.hover_nea_m, state.task.limits
+    position, target, limits = (
+        state.vehicle.position_nea_m,
+        state.flight.hover_nea_m,
+        state.task.limits,
+    )
     off_m = 0.0
-    if not state.vehicle.traits.hovers and here is not None and there is not None:
-        off_m = math.dist(here[:2], there[:2])
+    if not state.vehicle.traits.hovers and position is not None and target is not None:
+        off_m = math.dist(position[:2], target[:2])
     if off_m > limits.tracking_error_m:
         turn.warn(f"target reached: passed {off_m:.0f} m away", "phase")
     else:
@@ -412,8 +416,8 @@ def say_reached(state: State, turn: Turn) -> None:
 
 def _stands_at_target(state: State, event: Position) -> bool:
     """At rest at the target; after a while, as near to it and as slow as the vehicle can be."""
-    here, limits = state.flight.hover_nea_m, state.task.limits
-    off = math.inf if here is None else math.dist(event.position_nea_m, here)
+    hover, limits = state.flight.hover_nea_m, state.task.limits
+    off = math.inf if hover is None else math.dist(event.position_nea_m, hover)
     if not state.vehicle.traits.hovers:
         return off < _CIRCLES * limits.loiter_radius_m + limits.tracking_error_m
     if state.in_phase_s > _SETTLE_S:
@@ -435,11 +439,11 @@ def lands_within_m(state: State) -> float:
 
 def landed_off_m(state: State) -> float:
     """Distance from its last target or return point, metres."""
-    here, flight = state.vehicle.position_nea_m, state.flight
-    if here is None or not state.targets_ne_m:
+    position, flight = state.vehicle.position_nea_m, state.flight
+    if position is None or not state.targets_ne_m:
         return 0.0
     home = home_ne_m(state) if flight.returning else None
-    return math.dist(here[:2], home or state.targets_ne_m[flight.target])
+    return math.dist(position[:2], home or state.targets_ne_m[flight.target])
 
 
 def landing_words(state: State, context: Context) -> str:

@@ -62,13 +62,13 @@ def takeover_reason(state: State) -> Reason:
     vehicle = state.vehicle
     if vehicle.mode not in (Mode.HOLD, Mode.RETURN, Mode.LAND):
         return Reason.MODE_TAKEN
-    said = 0.0 <= state.now_s - vehicle.fence_breached_at_s < _FENCE_S
+    breach_said = 0.0 <= state.now_s - vehicle.fence_breached_at_s < _FENCE_S
     acts = (
         vehicle.traits.needs_setpoints_before_offboard
         and vehicle.failsafe
         and (_is_out_of_its_fence(state) or _is_held_by_what_it_misreads(state))
     )
-    if said or acts:
+    if breach_said or acts:
         return Reason.FENCE_BREACHED
     return Reason.FAILSAFE if vehicle.failsafe else Reason.MODE_TAKEN
 
@@ -84,13 +84,13 @@ def _is_held_by_what_it_misreads(state: State) -> bool:
 
 def _is_out_of_its_fence(state: State) -> bool:
     """Whether the vehicle's position violates its own fence."""
-    fence, here = state.fence, state.vehicle.position_nea_m
-    if fence is None or here is None:
+    fence, position = state.fence, state.vehicle.position_nea_m
+    if fence is None or position is None:
         return False
     error_m = state.task.error_m
-    if fence.ceiling_amsl_m is not None and here[2] > fence.ceiling_amsl_m - error_m:
+    if fence.ceiling_amsl_m is not None and position[2] > fence.ceiling_amsl_m - error_m:
         return True
-    return nearest(fence.zones, here[0], here[1])[1] < error_m
+    return nearest(fence.zones, position[0], position[1])[1] < error_m
 
 
 def still_goes_up(state: State) -> bool:
@@ -268,8 +268,8 @@ def _flies(state: State) -> bool:
         return holds or not vehicle.armed or _does_as_told(state)
     if state.is_grounded:
         return still_goes_up(state) and _takes_off(state)
-    told = _does_as_told(state) or (holds and state.stage.asks > 0)
-    return state.airborne and vehicle.armed and told
+    obeys = _does_as_told(state) or (holds and state.stage.asks > 0)
+    return state.airborne and vehicle.armed and obeys
 
 
 LEAVE: Final[dict[Phase, Callable[[State], bool]]] = {

@@ -21,9 +21,9 @@ _CIRCLES = 1.5  # loiter radii: a plane lands on a circle about where it is told
 
 def request(state: State, turn: Turn) -> None:
     """Request the proof of the backtrack; it takes effect as soon as it is ready."""
-    here, flight, stage = state.vehicle.position_nea_m, state.flight, state.stage
+    position, flight, stage = state.vehicle.position_nea_m, state.flight, state.stage
     assert isinstance(stage, phases.Stopped)
-    if here is None:
+    if position is None:
         return turn.give_up(state.reason or Reason.POSITION_STALE)
     flight.plan_id += 1
     stage.backtrack = phases.Planning(state.task, since_s=state.now_s)
@@ -32,10 +32,10 @@ def request(state: State, turn: Turn) -> None:
         seed=turn.context.seed,
         task=state.task,
         known=flight.known,
-        scan_nea_m=here,
-        start=hover_pose(here),
+        scan_nea_m=position,
+        start=hover_pose(position),
         from_rest=True,
-        target_ne_m=here[:2],
+        target_ne_m=position[:2],
         flown=flight.flown,
     )
     turn.do(Plan(request=request, due_s=state.now_s))
@@ -177,10 +177,10 @@ def home_ne_m(state: State) -> tuple[float, float] | None:
 
 def is_above_home(state: State) -> bool:
     """Whether a copter is above its home."""
-    home, here = state.vehicle.home_nea_m, state.vehicle.position_nea_m
-    if home is None or here is None or not state.vehicle.traits.hovers:
+    home, position = state.vehicle.home_nea_m, state.vehicle.position_nea_m
+    if home is None or position is None or not state.vehicle.traits.hovers:
         return False
-    return math.dist(home[:2], here[:2]) < max(AT_M, state.task.limits.tracking_error_m)
+    return math.dist(home[:2], position[:2]) < max(AT_M, state.task.limits.tracking_error_m)
 
 
 def beyond_path_m(state: State) -> float:

@@ -95,23 +95,23 @@ def certify(subpath: Subpath, around: Surroundings, *, from_rest: bool) -> Certi
     from_rest: the vehicle hovers at its start, and is the slower there.  A curve that is not
     finite is never proven, and no error.
     """
-    control, told = subpath.control_nea_m, Bounds._make([math.nan] * 11 + [0])
+    control, bounds = subpath.control_nea_m, Bounds._make([math.nan] * 11 + [0])
     if np.all(np.abs(control) < _SANE_M):
-        told = jit.compiled(prove)(cubics_of(control), around, from_rest)
+        bounds = jit.compiled(prove)(cubics_of(control), around, from_rest)
     motion, steeper = around.motion, 1.0 + 2.0 * ROUNDING
     kept = (
-        told.clearance_m >= around.clearance_m - ROUNDING_M,
-        told.keep_out_m >= around.clearance_m - ROUNDING_M,
-        told.dead_man_m >= around.contact_m - ROUNDING_M,
-        told.turn_radius_m * steeper >= motion.turn_radius_m,
-        math.tan(told.climb_angle_rad) <= math.tan(motion.climb_angle_rad) * steeper,
-        math.tan(told.dive_angle_rad) <= math.tan(motion.dive_angle_rad) * steeper,
-        told.lowest_amsl_m >= around.lowest_nea_m[2] - ROUNDING_M,
-        told.highest_amsl_m <= around.highest_nea_m[2] + ROUNDING_M,
-        told.off_map_m <= ROUNDING_M,
+        bounds.clearance_m >= around.clearance_m - ROUNDING_M,
+        bounds.keep_out_m >= around.clearance_m - ROUNDING_M,
+        bounds.dead_man_m >= around.contact_m - ROUNDING_M,
+        bounds.turn_radius_m * steeper >= motion.turn_radius_m,
+        math.tan(bounds.climb_angle_rad) <= math.tan(motion.climb_angle_rad) * steeper,
+        math.tan(bounds.dive_angle_rad) <= math.tan(motion.dive_angle_rad) * steeper,
+        bounds.lowest_amsl_m >= around.lowest_nea_m[2] - ROUNDING_M,
+        bounds.highest_amsl_m <= around.highest_nea_m[2] + ROUNDING_M,
+        bounds.off_map_m <= ROUNDING_M,
     )
     return Certificate(
-        **told._asdict(),
+        **bounds._asdict(),
         required_clearance_m=around.clearance_m,
         required_contact_m=around.contact_m,
         speed_m_s=motion.speed_m_s,

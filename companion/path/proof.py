@@ -57,7 +57,7 @@ class Question(NamedTuple):
     around: Surroundings
     rows: FloatArray  # (N, 5), of `first_pieces`
     from_rest: bool
-    found: FloatArray  # scratch of `terrain_distance`
+    scratch: FloatArray  # of `terrain_distance`
 
 
 class Piece(NamedTuple):
@@ -171,12 +171,16 @@ def stretch_of(
 def first_pieces(cubics: FloatArray) -> FloatArray:
     """The pieces to begin with: span, start, end, length flown before and left after, at most."""
     spans = cubics.shape[0]
-    each = (_PIECES + spans - 1) // spans
-    table, flown = np.zeros((spans * each, 5)), 0.0
-    for k in range(spans * each):
-        table[k, 0], table[k, 1], table[k, 2] = k // each, k % each / each, (k % each + 1) / each
+    per_span = (_PIECES + spans - 1) // spans
+    table, flown = np.zeros((spans * per_span, 5)), 0.0
+    for k in range(spans * per_span):
+        table[k, 0], table[k, 1], table[k, 2] = (
+            k // per_span,
+            k % per_span / per_span,
+            (k % per_span + 1) / per_span,
+        )
         table[k, 3] = flown
-        flown += piece_of(cubics, k // each, float(table[k, 1]), float(table[k, 2])).length
+        flown += piece_of(cubics, k // per_span, float(table[k, 1]), float(table[k, 2])).length
     table[:-1, 4] = flown - table[1:, 3]
     return table
 
@@ -205,7 +209,7 @@ def part_distance(
     tolerance = 1e-3 * around.clearance_m
     lower, upper = limit, limit
     if what != _ZONES:
-        far = terrain_distance(around.columns, segment, limit + slack, tolerance, asked.found)
+        far = terrain_distance(around.columns, segment, limit + slack, tolerance, asked.scratch)
         lower, upper = max(far - slack, 0.0), far + tolerance + slack
     if what != _TERRAIN:
         within = max(limit + slack + around.motion.loiter_m, 0.0)
@@ -294,8 +298,8 @@ def prove(cubics: FloatArray, around: Surroundings, from_rest: bool) -> Bounds:
     from_rest: the vehicle hovers at the curve's start, and is the slower for it.  A plane has no
     straight dead-man stretches: it circles wherever it is sent to last.
     """
-    rows, found = first_pieces(cubics), np.empty((around.columns.blocks_m.size, 3))
-    asked = Question(cubics, around, rows, from_rest, found)
+    rows, scratch = first_pieces(cubics), np.empty((around.columns.blocks_m.size, 3))
+    asked = Question(cubics, around, rows, from_rest, scratch)
     far, steep, pieces = np.full(3, math.inf), np.empty(3), 0
     for what in range(3):  # terrain, zones, dead man; in a loop, so that it is compiled once
         cap = 2.0 * around.clearance_m

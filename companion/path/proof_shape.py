@@ -161,15 +161,15 @@ def largest(cubics: FloatArray, what: int, limit: float, accuracy: float) -> tup
             depth -= 1
             start, end = float(stack[depth, 0]), float(stack[depth, 1])
             if what == 0:
-                most, here = curvature_squared(cubics, span, start, end, forward)
+                most, reached = curvature_squared(cubics, span, start, end, forward)
             else:
-                most, here = climb_tangent(cubics, span, start, end, float(what))
+                most, reached = climb_tangent(cubics, span, start, end, float(what))
             count += 1
-            value = max(value, here)
+            value = max(value, reached)
             enough = max(value, 0.0) * (1.0 + 2.0 * accuracy) + accuracy * 0.1 * limit
             if value <= limit:
                 enough = min(enough, limit)
-            tight = most <= here + _GOOD * max(abs(here), 0.1 * limit)
+            tight = most <= reached + _GOOD * max(abs(reached), 0.1 * limit)
             if most <= enough or tight or end - start < _FINEST or count >= _BUDGET:
                 bound = max(bound, most)
             else:

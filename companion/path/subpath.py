@@ -145,7 +145,7 @@ class Subpath:
         speed, bend = math.hypot(*first), np.array(second)
         if speed < 1e-6 * self.length_m:  # control points coincide: the direction is a limit
             inward = 1.0 if 2.0 * length_m < self.length_m else -1.0
-            first, bend = [inward * each for each in second], np.zeros(3)
+            first, bend = [inward * component for component in second], np.zeros(3)
             speed = math.hypot(*first)
         speed = max(speed, 1e-12)
         tangent = np.array(first) / speed

@@ -97,7 +97,7 @@ class Grid(NamedTuple):
             step_m=step_m,
             cost=np.zeros(count),
             lowest_m=np.full(count, -np.inf),
-            beside=np.stack([each @ (across, 1) for each in (_FIRST, _SECOND)], axis=-1),
+            beside=np.stack([steps @ (across, 1) for steps in (_FIRST, _SECOND)], axis=-1),
             jump=DIRECTIONS[:, 0] * columns + DIRECTIONS[:, 1],
         )
 
@@ -142,7 +142,7 @@ def repair(
     grid: Grid,
     costs: Costs,
     dirty: BoolArray,
-    here: IndexArray,
+    starts: IndexArray,
     beyond_m: float,
     window: Box,
 ) -> int:
@@ -150,7 +150,7 @@ def repair(
 
     dirty: (rows, columns), the points one of whose edges has changed; to begin with, when all costs
     are infinite, those that have a seed.
-    here, beyond_m, window: costs matter in a window, and on the ways on from there, up to so much
+    starts, beyond_m, window: costs matter in a window, and on the ways on from there, up to so much
     more than the least of some points.  Others are left as they are until they do; what is stored
     of those in the window is more than that.
     """
@@ -167,7 +167,7 @@ def repair(
             if cost[u] != ahead[u]:  # now, or left before
                 heapq.heappush(heap, (_key(u, costs, columns, window, step_m), u))
     while heap[0][1] >= 0:
-        if looked % _LOOKS == 0 and heap[0][0] > ahead[here].min() + beyond_m:
+        if looked % _LOOKS == 0 and heap[0][0] > ahead[starts].min() + beyond_m:
             break
         key, u = heapq.heappop(heap)
         if cost[u] == ahead[u] or key != _key(u, costs, columns, window, step_m):
@@ -348,12 +348,12 @@ def _line_m(grid: Grid, begin: FloatArray, end: FloatArray, most_m: float) -> fl
         v = min(max(begin[1] + p / pieces * east, 0.0), columns - 1.0)
         i, j = min(int(u), rows - 2), min(int(v), columns - 2)
         u, v, at = u - i, v - j, i * columns + j
-        here = _between(grid.cost, at, columns, u, v)
+        rate = _between(grid.cost, at, columns, u, v)
         if p > 0:
-            total += 0.5 * (before + here) * piece_m
+            total += 0.5 * (before + rate) * piece_m
         if total + (pieces - p) * piece_m * _ROUNDED > most_m:  # the rest costs 1 per metre or more
             return math.inf
-        before = here
+        before = rate
     return total
 
 

@@ -141,11 +141,11 @@ def _route_ne_m(
 
     starts: lattice points beside here, one of which it leads over.
     """
-    here, target = ends_ne_m
-    cost_m = grid.lines_m(here, grid.points_m(starts)) + costs.cost[starts]
+    start, target = ends_ne_m
+    cost_m = grid.lines_m(start, grid.points_m(starts)) + costs.cost[starts]
     way = jit.compiled(cheapest_ways.way_from)(grid.samples, costs, starts[np.argmin(cost_m)])
-    points = np.concatenate([[here], grid.points_m(way), [target]])
-    first_m, last_m = grid.lines_m(here, points[1:2]), grid.lines_m(target, points[-2:-1])
+    points = np.concatenate([[start], grid.points_m(way), [target]])
+    first_m, last_m = grid.lines_m(start, points[1:2]), grid.lines_m(target, points[-2:-1])
     along_m = np.concatenate([[0.0], first_m, -np.diff(costs.cost[way]), last_m]).cumsum()
     keep = jit.compiled(cheapest_ways.straightened)(grid.samples, grid.sample_of(points), along_m)
     return tuple((float(north), float(east)) for north, east in points[keep])

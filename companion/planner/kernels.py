@@ -22,14 +22,14 @@ def signature() -> str:
     x = np.linspace(0.1, 3.0, 1600)
     frame = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
     square = x.reshape(40, 40)
-    found = [
+    results = [
         *(function(x) for function in (np.sin, np.cos, np.exp, np.log, np.arctan, np.hypot.reduce)),
         *(np.linalg.norm(square, axis=-1), square @ square, square @ x[:40], x**0.7),
         *([math.sin(v), math.exp(v), math.atan2(v, 0.7), v**0.7] for v in x[::16].tolist()),
         *(frame.to_local_m(47.0 + 0.1 * v, 8.0 - 0.1 * v) for v in x[::160].tolist()),
     ]
-    told = b"".join(np.asarray(each, dtype=np.float64).tobytes() for each in found)
-    return f"numba {hashlib.sha256(told).hexdigest()[:8]}"
+    data = b"".join(np.asarray(result, dtype=np.float64).tobytes() for result in results)
+    return f"numba {hashlib.sha256(data).hexdigest()[:8]}"
 
 
 def search(state: State, scene: Scene, until: int) -> None:
@@ -46,4 +46,4 @@ def costs(x: FloatArray, scene: Scene) -> FloatArray:
 
     The terms of the last one stay in `scene.at.terms`.
     """
-    return np.array([objective.cost(each, np.inf, scene) for each in x])
+    return np.array([objective.cost(candidate, np.inf, scene) for candidate in x])

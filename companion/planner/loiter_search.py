@@ -46,35 +46,35 @@ def loiter_point(
 
     Unknown ground is never clear.  None: there is no such place among the best.
     """
-    here, zones = np.array(here_nea_m), task.zones
+    position, zones = np.array(here_nea_m), task.zones
     error_m, required_m = task.error_m, task.required_clearance_m
     farthest_m, circle_m = _FARTHEST * task.settings.scan_range_m, task.limits.loiter_radius_m
     if not sees_anything(known, here_nea_m[:2], farthest_m):
         return None
     turns = np.linspace(0.0, 2.0 * math.pi, _BEARINGS, endpoint=False)
     radii = np.linspace(0.0, farthest_m, _LENGTHS + 1)[1:, None, None]
-    rings = here[:2] + radii * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
-    places = np.concatenate([[preferred[:2], here[:2]], rings.reshape(-1, 2)])
+    rings = position[:2] + radii * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+    places = np.concatenate([[preferred[:2], position[:2]], rings.reshape(-1, 2)])
     low_m, high_m = task.band_amsl_m
-    points = np.insert(places, 2, min(max(float(here[2]), low_m), high_m), axis=1)
+    points = np.insert(places, 2, min(max(float(position[2]), low_m), high_m), axis=1)
     points[0] = preferred
     clear_m = gaps_m(zones, points[:, 0], points[:, 1], task.zone_clearance_m) - circle_m
     points, clear_m = points[clear_m >= error_m], clear_m[clear_m >= error_m]
-    low = np.column_stack([points[:, :2], np.minimum(points[:, 2], here[2])])
+    low = np.column_stack([points[:, :2], np.minimum(points[:, 2], position[2])])
     clear_m = np.minimum(clear_m, distances_to_terrain_m(known.grown(circle_m), low, required_m))
 
-    ways, lengths_m, which = _ways_ne_m(task, here[:2], velocity_nea_m_s, low[:, :2], _ROUGHLY)
+    ways, lengths_m, which = _ways_ne_m(task, position[:2], velocity_nea_m_s, low[:, :2], _ROUGHLY)
     off_m = gaps_m(zones, ways[..., 0], ways[..., 1], required_m)
     nearest_m, bad_m = np.full(len(points), np.inf), np.zeros(len(points))
     np.minimum.at(nearest_m, which, off_m.min(axis=-1))
     into_m = np.maximum(1.0 - off_m / required_m, 0.0).mean(axis=-1) * lengths_m
     np.maximum.at(bad_m, which, lengths_m + into_m)  # the worst of what it may fly counts
     bad_m[(points == preferred).all(axis=1) & (nearest_m >= required_m)] = -1.0
-    off_zones_m = min(error_m, float(gaps_m(zones, here[0], here[1])) - _SLACK_M)
-    off_terrain_m = min(error_m, distance_to_terrain_m(known, here, error_m) - _SLACK_M)
+    off_zones_m = min(error_m, float(gaps_m(zones, position[0], position[1])) - _SLACK_M)
+    off_terrain_m = min(error_m, distance_to_terrain_m(known, position, error_m) - _SLACK_M)
     order = np.lexsort([np.round(bad_m, 3), clear_m < required_m])
     for k in order[((nearest_m >= off_zones_m) & (clear_m >= error_m))[order]][:_LOOKED_AT]:
-        ways, _, _ = _ways_ne_m(task, here[:2], velocity_nea_m_s, low[k : k + 1, :2], _SAMPLES)
+        ways, _, _ = _ways_ne_m(task, position[:2], velocity_nea_m_s, low[k : k + 1, :2], _SAMPLES)
         flown = np.insert(ways.reshape(-1, 2), 2, low[k, 2], axis=1)
         clears_zones = gaps_m(zones, flown[:, 0], flown[:, 1], required_m) >= off_zones_m
         clears_terrain = distances_to_terrain_m(known, flown, error_m) >= off_terrain_m
@@ -85,7 +85,7 @@ def loiter_point(
 
 
 def _ways_ne_m(
-    task: Task, here: FloatArray, velocity: Vector, places_ne_m: FloatArray, samples: int
+    task: Task, start: FloatArray, velocity: Vector, places_ne_m: FloatArray, samples: int
 ) -> tuple[FloatArray, FloatArray, IndexArray]:
     """Ways to N places: a turn, wide or tight, until the nose points there, then straight.
 
@@ -94,7 +94,7 @@ def _ways_ne_m(
     -> (M, S, 2), lengths (M,), and to which of the places (M,).
     """
     course = math.atan2(velocity[1], velocity[0])
-    away = places_ne_m - here
+    away = places_ne_m - start
     bearing = np.arctan2(away[:, 1], away[:, 0]) - course
     bearing = np.arctan2(np.sin(bearing), np.cos(bearing))
     is_here = np.hypot(away[:, 0], away[:, 1]) < _HERE_M
@@ -103,7 +103,7 @@ def _ways_ne_m(
     side, size_m = np.sign(_TURNS)[turn], (np.abs(_TURNS) * task.limits.turn_radius_m)[turn]
     if math.hypot(*velocity[:2]) < _STILL_M_S:
         size_m = np.full(len(size_m), _ON_THE_SPOT)
-    centre = here + (side * size_m)[:, None] * [-math.sin(course), math.cos(course)]
+    centre = start + (side * size_m)[:, None] * [-math.sin(course), math.cos(course)]
     away = places_ne_m[which] - centre
     apart_m = np.hypot(away[:, 0], away[:, 1])
     straight_m = np.sqrt(np.maximum(apart_m**2 - size_m**2, 0.0))

@@ -137,8 +137,10 @@ def fly_offline(
                     continue
         # it has stopped: at a target, at the end of a leg, or for what it saw
         leg, end_m = flight.legs[-1], flight.flown_m[-1]
-        here = leg.subpath.pose(end_m).point_nea_m
-        ask = replace(ask, scan_nea_m=here, start=hover_pose(here), from_rest=True, rest=None)
+        position = leg.subpath.pose(end_m).point_nea_m
+        ask = replace(
+            ask, scan_nea_m=position, start=hover_pose(position), from_rest=True, rest=None
+        )
         if leg.reaches_target and end_m == leg.subpath.length_m:
             left_ne_m.pop(0)
             if left_ne_m:
@@ -231,12 +233,12 @@ class OnBoard:
         while self.reference.length_m < until_m and not procedure.is_at_end(self.reference, leg):
             if asks and leg.wants_successor(self.reference):
                 return self.reference.length_m, self._now_s - began_s, True
-            here = leg.subpath.pose(self.reference.length_m).position_nea_m
+            position = leg.subpath.pose(self.reference.length_m).position_nea_m
             if next_leg is not None:
                 room_m = until_m - self.reference.length_m
                 slows_m_s = procedure.entering_m_s(next_leg, motion, room_m)
             self.reference = procedure.advance(
-                self.reference, leg, step_s, here, goes_on=False, slows_to_m_s=slows_m_s
+                self.reference, leg, step_s, position, goes_on=False, slows_to_m_s=slows_m_s
             )
             at_m, speed_m_s = self.reference.length_m, self.reference.speed_m_s
             pose = leg.subpath.pose(at_m)

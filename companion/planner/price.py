@@ -90,8 +90,8 @@ class Prices:
 
     def cheaper(self, one: Planned | None, other: Planned | None) -> Planned | None:
         """Of two subpaths, the first one if they cost the same."""
-        found = [each for each in (one, other) if each is not None]
-        return min(found, key=self.price_m, default=None)
+        subpaths = [subpath for subpath in (one, other) if subpath is not None]
+        return min(subpaths, key=self.price_m, default=None)
 
     def _straight_m(self, planned: Planned) -> float:
         """A straight piece, which no search has made, and what follows."""

@@ -120,8 +120,8 @@ class Leg:
             return Reference(length_m=min(at_m, length_m), speed_m_s=full_m_s)
         period_s = task.settings.position_period_s
         for _ in range(math.ceil((least_m - task.tail_m) / full_m_s / period_s)):
-            here = self.subpath.pose(reference.length_m).position_nea_m
-            reference = advance(reference, self, period_s, here, goes_on=False)
+            position = self.subpath.pose(reference.length_m).position_nea_m
+            reference = advance(reference, self, period_s, position, goes_on=False)
         ends_m_s = ending_m_s(self.motion, length_m - reference.length_m)
         return replace(reference, speed_m_s=min(reference.speed_m_s, ends_m_s))
 

@@ -121,7 +121,7 @@ class Planned:
         return not self.terms
 
 
-def _said(text: str) -> str:
+def _text(text: str) -> str:
     """A text of several lines in one."""
     return " ".join(text.split())
 
@@ -129,44 +129,44 @@ def _said(text: str) -> str:
 class Refusal(enum.Enum):
     """Why there is no subpath, and the remedy."""
 
-    NOTHING_SAFE = _said("""no candidate subpath could be proven safe; relax what it broke, lower
+    NOTHING_SAFE = _text("""no candidate subpath could be proven safe; relax what it broke, lower
         planner.safety_distance_m or raise planner.evaluations""")
-    OUT_OF_TIME = _said("""time was up before all searches for it were done; raise
+    OUT_OF_TIME = _text("""time was up before all searches for it were done; raise
         planner.planning_time_s, or use a faster computer""")
-    BETTER_TO_STOP = _said("""every subpath that goes on from here costs more than to stop at the
+    BETTER_TO_STOP = _text("""every subpath that goes on from here costs more than to stop at the
         end of this one, look again, and leave in any direction; nothing needs to be done""")
-    BETTER_TO_TURN = _said("""every subpath that goes on from here costs more than to stop, and the
+    BETTER_TO_TURN = _text("""every subpath that goes on from here costs more than to stop, and the
         rest of this one leads away from the target, so it stops at once; nothing needs to be
         done""")
-    START_IN_KEEP_OUT = _said("""the vehicle is where a zone forbids to be, or too near to it, and
+    START_IN_KEEP_OUT = _text("""the vehicle is where a zone forbids to be, or too near to it, and
         no way out could be proven; fly it out by hand, or remove the zone""")
-    START_NEAR_TERRAIN = _said("""the vehicle is too near to the terrain, and no way out could be
+    START_NEAR_TERRAIN = _text("""the vehicle is too near to the terrain, and no way out could be
         proven; climb by hand, or lower planner.safety_distance_m""")
-    START_NEAR_THINGS = _said("""what the sensor has not shown to be free comes too near to the
+    START_NEAR_THINGS = _text("""what the sensor has not shown to be free comes too near to the
         vehicle (something stands there, or it does not see all round), and no way out could be
         proven; fly it by hand to an open place, check what preflight says of the sensor, or lower
         planner.safety_distance_m""")
-    START_OUTSIDE = _said("""the vehicle is outside the map or the altitude band; fly it back by
+    START_OUTSIDE = _text("""the vehicle is outside the map or the altitude band; fly it back by
         hand, or widen [area] or [altitude]""")
-    TARGET_IN_TERRAIN = _said("""the terrain at the target leaves no room below the ceiling; move
+    TARGET_IN_TERRAIN = _text("""the terrain at the target leaves no room below the ceiling; move
         the target, or raise altitude.ceiling_amsl_m""")
-    TARGET_IN_KEEP_OUT = _said("""the target is where a zone forbids to be (inside a keep-out,
+    TARGET_IN_KEEP_OUT = _text("""the target is where a zone forbids to be (inside a keep-out,
         outside a keep-in), or too near to it; move the target, or remove the zone""")
-    NO_WAY = _said("""what is known of terrain and zones leaves no way to the target; move the
+    NO_WAY = _text("""what is known of terrain and zones leaves no way to the target; move the
         target, raise altitude.ceiling_amsl_m, or lower planner.safety_distance_m""")
-    NO_WAY_PROVEN = _said("""no way on was found: since the vehicle was last nearer to the target,
+    NO_WAY_PROVEN = _text("""no way on was found: since the vehicle was last nearer to the target,
         going on has cost more than a way all round what it sees; the way that the map shows may be
         narrower than can be proven: lower planner.safety_distance_m, raise
         altitude.ceiling_amsl_m, or lead it past by targets""")
-    START_NEAR_UNKNOWN = _said("""the ground near the vehicle is unknown, or the map ends there; fly
+    START_NEAR_UNKNOWN = _text("""the ground near the vehicle is unknown, or the map ends there; fly
         it to where its radar sees, or widen [area]""")
-    TARGET_AT_EDGE = _said("""the target is off the map, or nearer to its edge than the required
+    TARGET_AT_EDGE = _text("""the target is off the map, or nearer to its edge than the required
         clearance; move the target, or widen [area]""")
-    NO_QUESTION = _said("""the request holds a number that is not finite, or a band that leaves
+    NO_QUESTION = _text("""the request holds a number that is not finite, or a band that leaves
         nothing to plan; check [altitude] and the vehicle's position""")
-    NOTHING_SEEN = _said("""nothing around the vehicle has been seen; check that the radar answers,
+    NOTHING_SEEN = _text("""nothing around the vehicle has been seen; check that the radar answers,
         or climb to where it sees""")
-    TOO_MANY_LEGS = _said("""the target was not reached with as many legs as are allowed without a
+    TOO_MANY_LEGS = _text("""the target was not reached with as many legs as are allowed without a
         vehicle; look at its path for a trap, or allow more (most_legs)""")
 
 
@@ -223,7 +223,9 @@ def values_of(outcome: PlanOutcome) -> Values:
         case NotPlanned():
             values["refusal"] = outcome.refusal.name
         case Backtrack():
-            values["control_nea_m"] = [each["control_nea_m"] for each in values.pop("subpaths")]
+            values["control_nea_m"] = [
+                subpath["control_nea_m"] for subpath in values.pop("subpaths")
+            ]
     return values
 
 

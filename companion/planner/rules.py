@@ -75,8 +75,8 @@ def slowed_to_sight(task: Task) -> Task:
         return task
     least, most = (share * limits.speed_m_s / _STEP_M_S for share in (_LEAST_OF_SPEED, 1.0))
     steps = range(math.floor(most), math.ceil(least) - 1, -1)
-    slower = (task.at_speed(round(each * _STEP_M_S, 1)) for each in steps)
-    return next((each for each in slower if _sees_enough(each)), task)
+    slower = (task.at_speed(round(step * _STEP_M_S, 1)) for step in steps)
+    return next((slowed for slowed in slower if _sees_enough(slowed)), task)
 
 
 def _sees_enough(task: Task) -> bool:

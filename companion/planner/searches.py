@@ -114,7 +114,7 @@ class Searches:
             if self.tries and self._is_time_up():
                 self.is_cut = True
                 return best
-            best = self.prices.cheaper(best, self._found(kind.with_points(points)))
+            best = self.prices.cheaper(best, self._best_proven(kind.with_points(points)))
         return best
 
     def stops_for_less(self, best: Planned, rest: Rest) -> bool:
@@ -127,7 +127,7 @@ class Searches:
         if price_m <= stop_m + prices.promised_m(rest.end_nea_m) or self._is_time_up():
             return False
         start = rows_of(hover_pose(rest.end_nea_m))
-        leaving = self._found(self._scene._replace(start=start, from_rest=True))
+        leaving = self._best_proven(self._scene._replace(start=start, from_rest=True))
         return leaving is not None and prices.price_m(leaving) + stop_m < price_m
 
     def straight(self, subpath: Subpath) -> Planned | None:
@@ -149,7 +149,7 @@ class Searches:
             self._surroundings[speed_m_s] = around
         return certify(subpath, around, from_rest=from_rest)
 
-    def _found(self, scene: Scene) -> Planned | None:
+    def _best_proven(self, scene: Scene) -> Planned | None:
         """Of one search, the best of its candidates that has a certificate."""
         for rank, x in enumerate(self._ranked(scene)[:_CERTIFIED]):
             subpath = Subpath(control_nea_m=scene.control_points(x))

@@ -64,7 +64,7 @@ def seeds_of(scene: Scene, ways_ne_m: list[FloatArray]) -> FloatArray:
             first, far_m = bearing if scene.from_rest else ahead, rho * scene.end_radius_m
             arcs.append((first, wrap_rad(bearing - first), bend, far_m, altitude))
     *drawn, levels = np.array(arcs).T
-    first_rad, turn_rad, bend_rad, far_m = (each[:, None] for each in drawn)
+    first_rad, turn_rad, bend_rad, far_m = (column[:, None] for column in drawn)
     share = np.linspace(0.0, 1.0, scene.points)[1:]
     turned = first_rad + share * turn_rad + bend_rad * (share < 1.0)
     steps = (far_m * share)[..., None] * np.stack([np.cos(turned), np.sin(turned)], axis=-1)

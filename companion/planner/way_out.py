@@ -212,17 +212,17 @@ def way_out(
     looks: where no less is left to fly anywhere, it goes to where more is seen.  strays: it may
     climb where that brings it no nearer at once.  None if there is no place to go to.
     """
-    found = list[tuple[Planned, float]]()
+    answers = list[tuple[Planned, float]]()
     for climb in _CLIMBS:
         for end in _Pieces(request, searches.prices, climb).ends(looks=looks, strays=strays):
             planned = searches.straight(straight(request.start.position_nea_m, end.place_nea_m))
             if planned is not None:
                 price_m = searches.prices.price_m(planned) + end.stops_m
-                found.append((planned, max(price_m, end.least_m)))
+                answers.append((planned, max(price_m, end.least_m)))
                 break
-        if found and request.task.settings.is_near:  # near things are not flown over
+        if answers and request.task.settings.is_near:  # near things are not flown over
             break
-    return min(found, key=lambda each: each[1], default=None)
+    return min(answers, key=lambda answer: answer[1], default=None)
 
 
 @final
@@ -264,7 +264,7 @@ class _Pieces:
     def _is_seen(self, end_nea_m: FloatArray) -> bool:
         """Whether a straight piece comes into the range of a radar."""
         points = self._start + np.linspace(0.0, 1.0, _LOOKS)[:, None] * (end_nea_m - self._start)
-        return any(bool((each.distance_m(points) < each.range_m).any()) for each in self._radars)
+        return any(bool((radar.distance_m(points) < radar.range_m).any()) for radar in self._radars)
 
     def _at(self, places_ne_m: FloatArray, away_m: FloatArray) -> FloatArray:
         """Places with the altitudes that are reached there.  (N, 2), (N,) -> (N, 3)."""
@@ -397,11 +397,11 @@ def blocked_at(
     part_m, corner_ne_m = known.cell_m / across, (known.north_min_m, known.east_min_m)
     barred = _barred(known, task, across)
     regions = np.asarray(scipy.ndimage.label(~barred, structure=np.ones((3, 3)))[0])
-    here, target = _of_cells(regions, np.array(ends_ne_m), corner_ne_m, part_m).tolist()
-    if 0 in (here, target) or here == target:
+    start, target = _of_cells(regions, np.array(ends_ne_m), corner_ne_m, part_m).tolist()
+    if 0 in (start, target) or start == target:
         return None
     points = sampled(np.array(field.route_ne_m), 0.5 * part_m)
-    leaves_at = int((_of_cells(regions, points, corner_ne_m, part_m) != here).argmax())
+    leaves_at = int((_of_cells(regions, points, corner_ne_m, part_m) != start).argmax())
     north, east = points[leaves_at].tolist()
     return north, east
 

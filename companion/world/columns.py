@@ -171,12 +171,12 @@ def nearest_column(
     segment: Segment,
     limit: float,
     tolerance: float,
-    found: FloatArray,
+    listed: FloatArray,
 ) -> tuple[float, int]:
     """Least distance of a segment from columns (rows from, to, columns from, to), at most `limit`.
 
     lattice: its southern and western edge, the side of a column and the registration error, metres.
-    found: if it has room, the columns within `limit` are listed there (row, column, distance) and
+    listed: if it has room, the columns within `limit` are listed there (row, column, distance) and
     the limit is not lowered.  -> the distance and how many were listed.
     """
     n0, e0, z0, dn, de, dz = segment
@@ -203,8 +203,8 @@ def nearest_column(
             box = (south, south + side, west, west + side, top, registration)
             far = column_distance(segment, box, best, tolerance)
             if far < best:
-                if len(found) > 0:
-                    found[count, 0], found[count, 1], found[count, 2] = row, column, far
+                if len(listed) > 0:
+                    listed[count, 0], listed[count, 1], listed[count, 2] = row, column, far
                     count += 1
                 else:
                     best = far
@@ -212,40 +212,40 @@ def nearest_column(
 
 
 def terrain_distance(
-    here: Columns, segment: Segment, limit: float, tolerance: float, found: FloatArray
+    terrain: Columns, segment: Segment, limit: float, tolerance: float, scratch: FloatArray
 ) -> float:
     """Least distance of a segment from the terrain, at most `limit` and `tolerance` too low.
 
-    found (blocks, 3): scratch.
+    scratch: (blocks, 3), overwritten.
     """
     n0, e0, _, dn, de, _ = segment
-    rows, columns = here.heights_m.shape
-    south, west, cell = here.south_m, here.west_m, here.cell_m
+    rows, columns = terrain.heights_m.shape
+    south, west, cell = terrain.south_m, terrain.west_m, terrain.cell_m
     north, east = south + rows * cell, west + columns * cell
     inside_n = min(min(n0, n0 + dn) - south, north - max(n0, n0 + dn))
     inside_e = min(min(e0, e0 + de) - west, east - max(e0, e0 + de))
-    best = min(limit, max(min(inside_n, inside_e) - here.registration_m, 0.0))
+    best = min(limit, max(min(inside_n, inside_e) - terrain.registration_m, 0.0))
     if best <= 0.0:
         return min(best, limit)
-    wide, side = best + here.registration_m, cell * here.block
+    wide, side = best + terrain.registration_m, cell * terrain.block
     first = max(math.floor((min(n0, n0 + dn) - wide - south) / side), 0)
     last = math.floor((max(n0, n0 + dn) + wide - south) / side) + 1
-    part = (first, min(last, here.blocks_m.shape[0]), 0, here.blocks_m.shape[1])
-    lattice = (south, west, side, here.registration_m)
-    _, count = nearest_column(here.blocks_m, part, lattice, segment, best, tolerance, found)
-    lattice = (south, west, cell, here.registration_m)
+    part = (first, min(last, terrain.blocks_m.shape[0]), 0, terrain.blocks_m.shape[1])
+    lattice = (south, west, side, terrain.registration_m)
+    _, count = nearest_column(terrain.blocks_m, part, lattice, segment, best, tolerance, scratch)
+    lattice = (south, west, cell, terrain.registration_m)
     nearest = 0
     for k in range(1, count):
-        if found[k, 2] < found[nearest, 2]:
+        if scratch[k, 2] < scratch[nearest, 2]:
             nearest = k
     for k in range(count):
         other = nearest if k == 0 else (0 if k == nearest else k)
-        if float(found[other, 2]) >= best:
+        if float(scratch[other, 2]) >= best:
             continue
-        row, column = int(found[other, 0]) * here.block, int(found[other, 1]) * here.block
-        part = (row, min(row + here.block, rows), column, min(column + here.block, columns))
-        none = found[:0]
-        best, _ = nearest_column(here.heights_m, part, lattice, segment, best, tolerance, none)
+        row, column = int(scratch[other, 0]) * terrain.block, int(scratch[other, 1]) * terrain.block
+        part = (row, min(row + terrain.block, rows), column, min(column + terrain.block, columns))
+        none = scratch[:0]
+        best, _ = nearest_column(terrain.heights_m, part, lattice, segment, best, tolerance, none)
     return best
 
 

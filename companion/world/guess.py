@@ -33,8 +33,8 @@ def believed_m(known: KnownMap, rows: slice, columns: slice) -> FloatArray:
     part = known.part(rows, columns)
     if part.guess_m is None:
         return np.where(part.surveyed, part.upper_m, -np.inf)
-    told = np.where(np.isnan(part.guess_m), -np.inf, np.minimum(part.guess_m, part.upper_m))
-    return np.where(part.surveyed, part.upper_m, told)
+    guess_m = np.where(np.isnan(part.guess_m), -np.inf, np.minimum(part.guess_m, part.upper_m))
+    return np.where(part.surveyed, part.upper_m, guess_m)
 
 
 @final
@@ -82,8 +82,8 @@ class Blocks:
     def update(self, known: KnownMap, window: Window) -> None:
         """Take over what is known of a window of the map's cells."""
         size = self.size
-        blocks = tuple(slice(each.start // size, -(-each.stop // size)) for each in window)
-        part = known.part(*(slice(size * each.start, size * each.stop) for each in blocks))
+        blocks = tuple(slice(axis.start // size, -(-axis.stop // size)) for axis in window)
+        part = known.part(*(slice(size * block.start, size * block.stop) for block in blocks))
         rows, columns = (np.arange(0, count, size) for count in part.shape)
         firm = part.surveyed
         count, total = (
@@ -93,10 +93,10 @@ class Blocks:
         self.mean_m[blocks] = total / np.maximum(count, 1.0)
         self.seen[blocks] = count >= 0.5 * size * size
 
-    def continued(self, here: tuple[int, int]) -> Continued | None:
+    def continued(self, block: tuple[int, int]) -> Continued | None:
         """How the terrain goes on, seen from a cell; None: nothing was seen, or all."""
         size, reach = self.size, round(_REACH * _BLOCKS_PER_RANGE)
-        row, column = (at // size for at in here)
+        row, column = (at // size for at in block)
         rows, columns = (
             slice(max(at - reach, 0), min(max(at + reach, 0), count))
             for at, count in zip((row, column), self.seen.shape, strict=True)
@@ -137,7 +137,7 @@ def guessed_m(known: KnownMap, here_ne_m: tuple[float, float], range_m: float) -
     return believed
 
 
-def _rim(seen: BoolArray, high: BoolArray, here: tuple[int, int]) -> IntArray:
+def _rim(seen: BoolArray, high: BoolArray, block: tuple[int, int]) -> IntArray:
     """The seen blocks next to what was not seen: all at the rim, every other behind.  (K, 2).
 
     Nearest first.  Of those that are too many, a fourth of the high ones, where mountains go on.
@@ -147,7 +147,7 @@ def _rim(seen: BoolArray, high: BoolArray, here: tuple[int, int]) -> IntArray:
     )
     row, column = np.indices(seen.shape)
     chosen = np.argwhere(rim | (behind & ((row + column) % 2 == 0)))
-    away = ((chosen - here) ** 2).sum(axis=1)
+    away = ((chosen - block) ** 2).sum(axis=1)
     chosen = chosen[np.argsort(away, kind="stable")]
     far = chosen[_MAX_BLOCKS:]
     far = far[(far % 2 == 0).all(axis=1) & high[*far.T]][:_MAX_BLOCKS]
@@ -184,6 +184,6 @@ def _solved(blocks: IntArray, rise_m: FloatArray, scale: float) -> tuple[FloatAr
 
 def _correlation(at: IntArray, of: IntArray, scale: float) -> FloatArray:
     """Of rows or columns, by how far they are apart.  (K,), (J,) -> (K, J)."""
-    apart = np.abs(at[:, None] - of[None, :])
-    by_distance = np.exp(-0.5 * (np.arange(apart.max(initial=0) + 1) / scale) ** 2)
-    return np.asarray(by_distance.take(apart))
+    separation = np.abs(at[:, None] - of[None, :])
+    by_distance = np.exp(-0.5 * (np.arange(separation.max(initial=0) + 1) / scale) ** 2)
+    return np.asarray(by_distance.take(separation))

@@ -139,7 +139,7 @@ class KnownMap(Lattice):
 
     def changed_since(self, name: int | None) -> Window:
         """The cells in which it may differ from the map of that name: all, if that is too old."""
-        names = [each for each, _ in self.changes]
+        names = [version for version, _ in self.changes]
         if name not in names:
             return slice(0, self.shape[0]), slice(0, self.shape[1])
         windows = [window for _, window in self.changes[names.index(name) + 1 :]]
@@ -182,7 +182,7 @@ class KnownMap(Lattice):
         if not changes or scan.heights_m.size > 0:
             window = scan.window if changes else self.changed_since(None)
             layers = after.upper_m, after.seen, after.given, after.guess_m
-            held = [each[window].tobytes() for each in layers if each is not None]
+            held = [layer[window].tobytes() for layer in layers if layer is not None]
             name = hash((repr((changes[-1:], window)), *held))
             changes = *changes[1 - _REMEMBERED :], (name, window)
         object.__setattr__(after, "changes", changes)
@@ -263,9 +263,9 @@ class MapNews(NamedTuple):
     changes: tuple[tuple[int, Window], ...]  # `KnownMap.changes`, of the whole map
 
     @staticmethod
-    def of(known: KnownMap, told: int | None) -> "MapNews":
-        """told: the name of the map that is had; None: none is."""
-        window = known.changed_since(told)
+    def of(known: KnownMap, since: int | None) -> "MapNews":
+        """since: the name of the map that is had; None: none is."""
+        window = known.changed_since(since)
         return MapNews(known.part(*window), window, known.changes)
 
     def after(self, had: KnownMap | None) -> KnownMap:
@@ -411,7 +411,7 @@ def sight_line_m(
     apart_m = np.array([_GROUP_CELLS, _GROUP_CELLS, _GROUP_CELLS_UP]) * lattice.cell_m
     bins = ((radars_nea_m - radars_nea_m.min(axis=0)) / apart_m).astype(np.intp)
     key = np.ravel_multi_index(tuple(bins.T), tuple(bins.max(axis=0) + 1))
-    groups = [np.flatnonzero(key == each) for each in np.unique(key)]
+    groups = [np.flatnonzero(key == group) for group in np.unique(key)]
     boxes = [(radars_nea_m[k].min(axis=0), radars_nea_m[k].max(axis=0)) for k in groups]
     slack = slack_m + max(
         0.5 * math.hypot(high[0] - low[0], high[1] - low[1]) for low, high in boxes

@@ -52,25 +52,25 @@ def simulated_scan(
     are: so a scan takes as long in a big world as in a small one.
     """
     rows, columns = truth.about(np.array([radar_nea_m[:2]]), range_m)
-    here = truth.part(rows, columns)
-    here = here if terrain is None else true_map(terrain, here)
-    north_m, east_m = here.middles_m()
+    part = truth.part(rows, columns)
+    part = part if terrain is None else true_map(terrain, part)
+    north_m, east_m = part.middles_m()
     away_m = np.hypot(north_m - radar_nea_m[0], east_m - radar_nea_m[1])
     in_range = away_m <= range_m
-    seen = in_range & (away_m <= _NEAR_CELLS * here.cell_m)
+    seen = in_range & (away_m <= _NEAR_CELLS * part.cell_m)
     if in_range.any():
-        seen |= in_range & _in_sight(here, radar_nea_m, in_range)
+        seen |= in_range & _in_sight(part, radar_nea_m, in_range)
     return Scan(
         row=rows.start,
         column=columns.start,
-        heights_m=np.where(seen, here.upper_m, NOT_SEEN),
+        heights_m=np.where(seen, part.upper_m, NOT_SEEN),
         radar_nea_m=np.broadcast_to(np.asarray(radar_nea_m), (*seen.shape, 3)),
         range_m=range_m,
     )
 
 
 def _in_sight(
-    here: KnownMap, radar_nea_m: tuple[float, float, float], wanted: BoolArray
+    part: KnownMap, radar_nea_m: tuple[float, float, float], wanted: BoolArray
 ) -> BoolArray:
     """The cells that rise above all before them on some ray.  (rows, columns).
 
@@ -83,11 +83,11 @@ def _in_sight(
     one.
     """
     rows, columns = np.nonzero(wanted)
-    north, east = here.middles_m()
+    north, east = part.middles_m()
     middles = np.stack([north[rows, 0], east[0, columns]], axis=-1)
-    top = np.pad(here.upper_m, 1, constant_values=-np.inf)  # beyond the edge there is nothing
-    cell_m = here.cell_m
-    wider = Lattice(cell_m, here.north_min_m - cell_m, here.east_min_m - cell_m, top.shape)
+    top = np.pad(part.upper_m, 1, constant_values=-np.inf)  # beyond the edge there is nothing
+    cell_m = part.cell_m
+    wider = Lattice(cell_m, part.north_min_m - cell_m, part.east_min_m - cell_m, top.shape)
     cells, away, _, _ = march(wider, middles, radar_nea_m[:2], 2)
     slope = top.ravel().take(cells)
     slope -= radar_nea_m[2]

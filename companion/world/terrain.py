@@ -174,7 +174,7 @@ class GridTerrain(_Nodes):
             self._nodes(np.asarray(n), np.asarray(e)) for n in (south, north) for e in (west, east)
         ]
         sides = np.subtract(north, south), np.subtract(east, west)
-        side = float(max(np.max(each, initial=0.0) for each in sides))
+        side = float(max(np.max(side_m, initial=0.0) for side_m in sides))
         edge_deg = abs(self.south_deg) + self.step_north_deg * self.heights_m.shape[0]
         edge_rad = math.radians(min(edge_deg, 89.0))
         bend = side**2 / 4.0 * (1.0 + math.tan(edge_rad)) / _EARTH_M + 1e-3
@@ -211,8 +211,8 @@ def _bilinear_m(heights_m: npt.NDArray[Any], row: FloatArray, column: FloatArray
     u, v = row - i, column - j
     i_next, j_next = np.minimum(i + 1, rows - 1), np.minimum(j + 1, columns - 1)
     sw, se, nw, ne = (
-        heights_m[each].astype(float)
-        for each in ((i, j), (i, j_next), (i_next, j), (i_next, j_next))
+        heights_m[corner].astype(float)
+        for corner in ((i, j), (i, j_next), (i_next, j), (i_next, j_next))
     )
     south, north = sw + v * (se - sw), nw + v * (ne - nw)  # of flat ground exactly its height
     return np.asarray(south + u * (north - south))
@@ -245,7 +245,7 @@ def _highest_node_m(heights_m: npt.NDArray[Any], low: _Places, high: _Places) ->
     first = np.clip(np.floor(low), 0, most).astype(np.intp)  # (2, ...)
     last = np.clip(np.ceil(high), 0, most).astype(np.intp)
     count = last - first + 1
-    start, width = ([int(each.min()) for each in parts] for parts in (first, count))
+    start, width = ([int(indices.min()) for indices in parts] for parts in (first, count))
     window = heights_m[start[0] : last[0].max() + 1, start[1] : last[1].max() + 1]
     # of squares as wide as the narrowest box, from each node on to the north and east
     window = scipy.ndimage.maximum_filter(window, size=width, origin=[-(w // 2) for w in width])

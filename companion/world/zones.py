@@ -155,12 +155,12 @@ def _area(zone: PolygonZone) -> shapely.Polygon:
 
 def nearest(zones: tuple[Zone, ...], north_m: float, east_m: float) -> tuple[Zone | None, float]:
     """The zone that is the nearest to a point, or forbids it the most, and its distance, metres."""
-    found: tuple[Zone | None, float] = None, math.inf
+    closest: tuple[Zone | None, float] = None, math.inf
     at = np.asarray(north_m), np.asarray(east_m)
     for zone in zones:
-        gap_m = float(gaps_m((zone,), *at, found[1]))
-        found = (zone, gap_m) if gap_m < found[1] else found
-    return found
+        gap_m = float(gaps_m((zone,), *at, closest[1]))
+        closest = (zone, gap_m) if gap_m < closest[1] else closest
+    return closest
 
 
 # --- one point or one segment: compiled
