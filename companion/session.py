@@ -395,7 +395,7 @@ class Session:
             return
         system, name = heard.system, described(heard.message)
         self.vehicle_name = name
-        self.vehicle = AutopilotClient.found(heard.message, self.context)
+        self.vehicle = AutopilotClient.of(heard.message, self.context)
         traits = None
         if self.vehicle is not None:
             self._component = Component(self.mission, system, self._version)

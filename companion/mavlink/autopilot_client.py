@@ -95,7 +95,7 @@ class StreamRequests:
     def missing(self) -> list[str]:
         """Names of requested messages that never came."""
         lacking = self._wanted_hz.keys() - self.count.keys() - self._quiet
-        return [wire.mavlink_map[each].msgname for each in self._wanted_hz if each in lacking]
+        return [wire.mavlink_map[number].msgname for number in self._wanted_hz if number in lacking]
 
     def _is_late(self, number: int, since_s: float, now_s: float) -> bool:
         """Whether too few have come, and enough time has passed since it was asked for."""
@@ -137,7 +137,7 @@ class AutopilotClient:
         self.findings: list[Finding] = []
         """Of the parameters, as they were judged last."""
         self.origin_nea_m: events.Vector | None = None
-        self.said: tuple[float, str] = (-math.inf, "")
+        self.last_text: tuple[float, str] = (-math.inf, "")
         """When it last sent a text, and what."""
         self.here_ne_m: tuple[float, float] | None = None
         self.own_fence = OwnFence(mission, autopilot, self.plans)
@@ -156,7 +156,7 @@ class AutopilotClient:
         self._speed_told_s = -1e9
 
     @staticmethod
-    def found(heartbeat: Message, context: Context) -> "AutopilotClient | None":
+    def of(heartbeat: Message, context: Context) -> "AutopilotClient | None":
         """The client for the sender of this heartbeat; None if the mission is not for it."""
         mission, autopilot = context.mission, autopilot_of(heartbeat)
         if autopilot is None or autopilot.traits.kind != mission.kind:
@@ -217,7 +217,7 @@ class AutopilotClient:
             case wire.MAVLINK_MSG_ID_COMMAND_ACK:
                 return self._on_command_ack(message.command, message.result, now_s)
             case wire.MAVLINK_MSG_ID_STATUSTEXT:
-                self.said = now_s, message.text
+                self.last_text = now_s, message.text
                 breached = firmware.breached.search(message.text) is not None
             case EventMessage.id:  # PX4 says no text to a companion, but this
                 breached = message.id_of_event & 0xFFFFFF in firmware.breach_events
@@ -233,7 +233,7 @@ class AutopilotClient:
 
     def _on_command_ack(self, command: int, result: int, now_s: float) -> events.Event | None:
         """ACK of a speed change: turns and stopping distance are proven for that speed."""
-        asked = any(command == each.command for each in self._speed)
+        asked = any(command == request.command for request in self._speed)
         if asked and result not in _NOT_YET:
             self._speed = []
             if result != wire.MAV_RESULT_ACCEPTED:
@@ -284,10 +284,13 @@ class AutopilotClient:
             case events.Disarm():  # without force: in the air it refuses
                 return [command_long(self.system_id, arms, 0.0)]
             case events.TakeOff():
-                here, heading_rad = state.vehicle.position_nea_m, state.vehicle.heading_rad or 0.0
-                if here is None:
+                position, heading_rad = (
+                    state.vehicle.position_nea_m,
+                    state.vehicle.heading_rad or 0.0,
+                )
+                if position is None:
                     return []
-                return autopilot.take_off(command, here, heading_rad, self.to)
+                return autopilot.take_off(command, position, heading_rad, self.to)
 
     @property
     def due_s(self) -> float:
@@ -316,11 +319,11 @@ class AutopilotClient:
         """New events since the last call."""
         if not (self.streams.begun and self.is_news):
             return []
-        told = [*self._checked_parameters(now_s), *self._read_plans(now_s)]
+        new_events = [*self._checked_parameters(now_s), *self._read_plans(now_s)]
         if self._mission.fence_from_vehicle and self._plans_told:
-            told += self.own_fence.reading(now_s)
+            new_events += self.own_fence.reading(now_s)
         self.is_news = self.own_fence.is_drawing  # some of a fence with each message
-        return told
+        return new_events
 
     def _checked_parameters(self, now_s: float) -> list[events.Event]:
         client = self.parameters
@@ -331,11 +334,13 @@ class AutopilotClient:
         self.findings = findings_of(self.autopilot.rules, client.values, self._mission, home)
         if self._sets_parameters and self._set(self.findings):
             return []  # they are judged again once they are read back
-        refused = [each for each in self.findings if each.set_to is None or self._sets_parameters]
+        refused = [
+            finding for finding in self.findings if finding.set_to is None or self._sets_parameters
+        ]
         refusal = self._in_words(refused[0]) if refused else ""
         again, self._refusal_told = refusal == self._refusal_told != "", refusal
-        told = events.Prepared(time_s=now_s, item=events.Item.PARAMETERS, refusal=refusal)
-        return [] if again else [told]
+        prepared = events.Prepared(time_s=now_s, item=events.Item.PARAMETERS, refusal=refusal)
+        return [] if again else [prepared]
 
     def _set(self, findings: list[Finding]) -> bool:
         """Set parameters as the checks demand, with a text for each; whether there was any.
@@ -367,14 +372,14 @@ class AutopilotClient:
         plans, mission, own = self.plans, self._mission, self.own_fence
         if not plans.is_done or not self.parameters.is_done:
             return []
-        told, refusal = list[events.Event](), ""
+        new_events, refusal = list[events.Event](), ""
         if mission.fence_from_vehicle:
-            values, home, here = self.parameters.values, self._home_nea_m, self.here_ne_m
-            news = own.update(values, home, here, now_s)
+            values, home, place_ne_m = self.parameters.values, self._home_nea_m, self.here_ne_m
+            news = own.update(values, home, place_ne_m, now_s)
             if news is None:
                 return []
             changed, refusal = news
-            told += changed
+            new_events += changed
         plan = plans.plans[MISSION]
         if mission.targets_from_vehicle and plan.version != self._targets_version:
             self._targets_version = plan.version
@@ -384,11 +389,13 @@ class AutopilotClient:
             if route.end_action not in (None, mission.end_action):
                 words = f"its mission ends with {route.end_action.value}"
                 self.notes.append(f"{words}; what counts is end.action: {mission.end_action.value}")
-            told.append(events.TargetsChanged(time_s=now_s, targets_ne_m=route.targets_ne_m))
+            new_events.append(events.TargetsChanged(time_s=now_s, targets_ne_m=route.targets_ne_m))
         if refusal or not self._plans_told:
             self._plans_told = True
-            told.append(events.Prepared(time_s=now_s, item=events.Item.PLANS, refusal=refusal))
-        return told
+            new_events.append(
+                events.Prepared(time_s=now_s, item=events.Item.PLANS, refusal=refusal)
+            )
+        return new_events
 
 
 def _moved(one: events.Vector | None, other: events.Vector) -> bool:

@@ -119,7 +119,7 @@ class Component:
     """Commands and heartbeat of one companion.  Time is an argument."""
 
     def __init__(self, mission: Mission, system_id: int, version: str) -> None:
-        self._ours = system_id, COMPANION_COMPONENT
+        self._own_ids = system_id, COMPANION_COMPONENT
         self._mission, self._version = mission, version
         self._beat_at_s = -math.inf
         self._asked: set[int] = set()
@@ -131,9 +131,9 @@ class Component:
         """Handle a command of any sender; it may be addressed to another component."""
         sender = message.get_srcSystem(), message.get_srcComponent()
         target = message.target_system, message.target_component
-        if sender == self._ours or not _matches(target, self._ours):
+        if sender == self._own_ids or not _matches(target, self._own_ids):
             return Reply()  # of a router that sends things back, or for others
-        is_for_us, before = target == self._ours, self._given.get(sender)
+        is_for_us, before = target == self._own_ids, self._given.get(sender)
         if is_for_us and before is not None and before.is_repeated_by(message, now_s):
             return Reply(replies=(_ack(message, before.result),))
         name = f"{sender[0]}/{sender[1]}"
@@ -176,7 +176,7 @@ class Component:
         if (kind := _ORDERS.get(command)) is None:
             raise _RefusedError("", wire.MAV_RESULT_UNSUPPORTED)
         ids = message.get_srcSystem(), message.get_srcComponent()
-        if not any(_matches(each, ids) for each in self._mission.commanders):
+        if not any(_matches(commander, ids) for commander in self._mission.commanders):
             raise _RefusedError(f"{sender} may not command: see link.commanders")
         place_ne_m = None
         match kind:
@@ -283,8 +283,8 @@ def version_number(version: str) -> int:
 
     version: as Python's packages write it, "1.2.3rc1".
     """
-    found = _VERSION_FORM.match(version)
-    numbers = () if found is None else found.groups("0")
+    match = _VERSION_FORM.match(version)
+    numbers = () if match is None else match.groups("0")
     major, minor, patch = (min(int(number), 255) for number in (*numbers, "0", "0", "0")[:3])
     is_official = _VERSION_FORM.fullmatch(version) is not None
     kind = wire.FIRMWARE_VERSION_TYPE_OFFICIAL if is_official else wire.FIRMWARE_VERSION_TYPE_DEV

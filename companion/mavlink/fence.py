@@ -272,14 +272,14 @@ def _part_near(corners_deg: list[Point], frame: LocalFrame) -> list[Point]:
 
 def conflicts(fence: Fence, task: Task, targets_ne_m: Sequence[Point]) -> tuple[str, ...]:
     """Why a mission cannot keep to a fence, one line each: the place, the rule, the remedy."""
-    found, clearance_m = [fence.refusal] if fence.refusal else [], task.zone_clearance_m
+    reasons, clearance_m = [fence.refusal] if fence.refusal else [], task.zone_clearance_m
     north, east = np.reshape(targets_ne_m, (-1, 2)).T
     for number in np.flatnonzero(gaps_m(fence.zones, north, east) < clearance_m):
         for zone in fence.zones:
             short_m = clearance_m - float(zone.distance_m(north[number], east[number]))
             if short_m > 0.0:
                 side = "inside" if zone.keep_in else "outside"
-                found.append(
+                reasons.append(
                     f"target {number + 1}: {short_m:.0f} m too far from being {side} of the "
                     f"vehicle's {zone.name} by the clearance of {clearance_m:.0f} m. "
                     "Move the target, or change the fence"
@@ -288,12 +288,12 @@ def conflicts(fence: Fence, task: Task, targets_ne_m: Sequence[Point]) -> tuple[
     bottom_m = max(low_m, low_m if fence.floor_amsl_m is None else fence.floor_amsl_m)
     top_m = min(high_m, high_m if fence.ceiling_amsl_m is None else fence.ceiling_amsl_m)
     if top_m - bottom_m <= 2.2 * task.error_m:
-        found.append(
+        reasons.append(
             f"altitudes: the vehicle's fence leaves {bottom_m:.0f} to {top_m:.0f} m AMSL of the "
             f"mission's {low_m:.0f} to {high_m:.0f} m, less than its errors. "
             "Change the fence's heights or [altitude]"
         )
-    return tuple(found)
+    return tuple(reasons)
 
 
 # --- as list, parameters and home change ----------------------------------------------------------
@@ -316,8 +316,8 @@ class OwnFence:
         self._drawn = Fence()
         """The newest list, once all of it is drawn."""
         self._made_of: object = None
-        self._told: FenceChanged | None = None
-        self._said: tuple[str, ...] = ()
+        self._last_event: FenceChanged | None = None
+        self._noted: tuple[str, ...] = ()
         self._reading = 0
 
     @property
@@ -328,8 +328,10 @@ class OwnFence:
     def rebooted(self) -> None:
         """The autopilot has rebooted: what is read again is held against the mission again."""
         self._reading, self._made_of = 0, None
-        if self._told is not None and self._told.zones:
-            self.notes.append(f"fence: read again, {len(self._told.zones)} zones stay in force")
+        if self._last_event is not None and self._last_event.zones:
+            self.notes.append(
+                f"fence: read again, {len(self._last_event.zones)} zones stay in force"
+            )
 
     def reading(self, now_s: float) -> list[FenceReading]:
         """Whether one that has changed is being read, and drawn, by now."""
@@ -370,20 +372,20 @@ class OwnFence:
         whole = self.fence = in_force(
             self._drawn, settings, home_nea_m=home_nea_m, here_ne_m=here_ne_m
         )
-        self.notes += [each for each in whole.notes if each not in self._said]
-        self.warnings += [whole.misread] if whole.misread not in ("", *self._said) else []
-        self._said = (*whole.notes, whole.misread)
+        self.notes += [note for note in whole.notes if note not in self._noted]
+        self.warnings += [whole.misread] if whole.misread not in ("", *self._noted) else []
+        self._noted = (*whole.notes, whole.misread)
         against = conflicts(whole, mission.task, mission.targets_ne_m)
         refusal = against[0] if against else ""
-        told = FenceChanged(
+        event = FenceChanged(
             time_s=now_s,
             zones=whole.zones,
             floor_amsl_m=whole.floor_amsl_m,
             ceiling_amsl_m=whole.ceiling_amsl_m,
             misread=bool(whole.misread),
         )
-        same = structs.replace(told, time_s=0.0)
-        if same == self._told:
+        same = structs.replace(event, time_s=0.0)
+        if same == self._last_event:
             return [], refusal
-        self._told = same
-        return [told], refusal
+        self._last_event = same
+        return [event], refusal

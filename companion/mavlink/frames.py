@@ -189,7 +189,7 @@ def _in_order(kind: Any) -> Callable[[tuple[Any, ...]], Sequence[Any]]:
             values[first] if size == 1 else list(values[first : first + size])
             for first, size in places
         )
-        return [each.rstrip(b"\0") if isinstance(each, bytes) else each for each in fields]
+        return [field.rstrip(b"\0") if isinstance(field, bytes) else field for field in fields]
 
     return in_order
 
@@ -233,9 +233,9 @@ class Receiver:
         portion_at, data = len(self._rest), self._rest + data
         heard: list[Incoming] = []
         at, size, passed = 0, len(data), 0
-        while (found := find_marker(data, at)) is not None:
-            passed += found.start() - at
-            at = found.start()
+        while (marker := find_marker(data, at)) is not None:
+            passed += marker.start() - at
+            at = marker.start()
             end, number = frame_extent(data, at)
             kind = None if number is None else KINDS.get(number)
             if kind is None and number is not None:  # no checksum: believed if a frame follows

@@ -305,13 +305,13 @@ class Output:
     def size(self) -> int:
         """Bytes to be recorded, about."""
         frames = sum(len(frame) for _, frame in self.record)
-        told = sum(len(each[1]) for each in self.inputs if each[0] == "receive")
-        return frames + told + _ENTRY_BYTES * len(self.journal)
+        received = sum(len(call[1]) for call in self.inputs if call[0] == "receive")
+        return frames + received + _ENTRY_BYTES * len(self.journal)
 
     def leave_out(self, numbers: Iterable[int]) -> None:
         """Remove frames that were not sent, by index in `frames`, from the record."""
         unsent = {strip_signature(self.frames[number]) for number in numbers}
-        self.record = [each for each in self.record if each[1] not in unsent]
+        self.record = [stamped for stamped in self.record if stamped[1] not in unsent]
 
 
 @final
@@ -329,8 +329,8 @@ class FrameEncoder:
 
     def set_system_id(self, system_id: int) -> None:
         """Use this vehicle's system id from now on."""
-        for each in (self._codec, self._unsent):
-            each.srcSystem = system_id
+        for encoder in (self._codec, self._unsent):
+            encoder.srcSystem = system_id
 
     def send(self, messages: Iterable[Message], now_s: float) -> None:
         """Send messages in order."""

@@ -73,12 +73,12 @@ def targets_of(items: Sequence[PlanItem], frame: LocalFrame, *, home_first: bool
     planner chooses them within the mission's band.
     """
     targets: list[Point] = []
-    said: list[str] = []
+    notes: list[str] = []
     left_out = Counter[str]()
     end: EndAction | None = None
     for number, item in list(enumerate(items))[int(home_first) :]:
         if end is not None:
-            said.append(f"items {number} to {len(items) - 1} come after the end: left out")
+            notes.append(f"items {number} to {len(items) - 1} come after the end: left out")
             break
         if item.command in _TAKE_OFF and not targets:
             continue  # the companion takes off by itself
@@ -89,10 +89,10 @@ def targets_of(items: Sequence[PlanItem], frame: LocalFrame, *, home_first: bool
                 targets += places
                 left_out.update(not_done(item.command, item.parameters))
             elif item.command not in _ENDS:
-                said.append(f"{name} names no place: left out")
+                notes.append(f"{name} names no place: left out")
         elif item.command not in _ENDS:
-            said.append(f"{name} is not flown: left out")
+            notes.append(f"{name} is not flown: left out")
         end = _ENDS.get(item.command)
     if left_out:
-        said.append(f"left out: {', '.join(f'{n} x {what}' for what, n in left_out.items())}")
-    return Targets(targets_ne_m=tuple(targets), end_action=end, notes=tuple(said))
+        notes.append(f"left out: {', '.join(f'{n} x {what}' for what, n in left_out.items())}")
+    return Targets(targets_ne_m=tuple(targets), end_action=end, notes=tuple(notes))

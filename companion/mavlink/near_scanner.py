@@ -59,7 +59,7 @@ class NearScanner:
         self._top_m = top_amsl_m(limits.ceiling_amsl_m, settings.scan_range_m)
         self._scan_time_s = settings.scan_time_s
         self._began_s = self._swept_s = -math.inf
-        self._told: Window | None = None
+        self._scanned: Window | None = None
         """What the last scan has told."""
         self._before: KnownMap | None = None
         """The map of the mission before it."""
@@ -96,9 +96,9 @@ class NearScanner:
 
     def begun(self, _centre_nea_m: Vector, state: State, now_s: float) -> "NearScanner":
         """A scan: the next sweep ends it."""
-        if self._told is not None and state.flight.known is self._before:
-            self._near.tell_again(self._told)  # nobody has taken it
-        self._before, self._told = state.flight.known, None
+        if self._scanned is not None and state.flight.known is self._before:
+            self._near.tell_again(self._scanned)  # nobody has taken it
+        self._before, self._scanned = state.flight.known, None
         self._began_s = now_s
         return self
 
@@ -115,6 +115,6 @@ class NearScanner:
         if not (swept or now_s - self._began_s >= self._scan_time_s):
             return None
         answered = swept or not self._sight.is_blind
-        self._told = self._near.changed
+        self._scanned = self._near.changed
         scan = self._near.scan(self._ground_m, self._top_m)
         return ScanDone(time_s=now_s, scan=scan, asked=1, answered=int(answered))

@@ -191,29 +191,29 @@ class NearSensing:
         self._set = []
         if not messages:
             return
-        for each in messages:
-            self._limits_cm[each.orientation] = each.min_distance, each.max_distance
+        for message in messages:
+            self._limits_cm[message.orientation] = message.min_distance, message.max_distance
         told_cm = np.full(_SECTORS, float(_UNKNOWN_CM))
         least_cm = np.full(_SECTORS, max(least for least, _ in self._limits_cm.values()))
         most_cm = np.full(_SECTORS, min(most for _, most in self._limits_cm.values()))
-        for each in messages:
-            told_cm[each.orientation] = each.current_distance
-            least_cm[each.orientation] = each.min_distance
-            most_cm[each.orientation] = each.max_distance
-        told = {each.orientation for each in messages}
+        for message in messages:
+            told_cm[message.orientation] = message.current_distance
+            least_cm[message.orientation] = message.min_distance
+            most_cm[message.orientation] = message.max_distance
+        sectors = {message.orientation for message in messages}
         stamp_s = messages[0].time_boot_ms * 1e-3
-        whole_s = self._whole_for_s(told, stamp_s)
+        whole_s = self._whole_for_s(sectors, stamp_s)
         if self._sensor.component_id == AUTOPILOT_COMPONENT:  # of other drivers that is not known
-            end = _SECTORS if whole_s >= _WHOLE_S else max(told)
+            end = _SECTORS if whole_s >= _WHOLE_S else max(sectors)
             silent = [k for k in range(end) if k not in self._sectors]
             told_cm[silent] = most_cm[silent]
         where = -0.5 * _SECTOR_RAD, _SECTOR_RAD, True
         self._take(told_cm, (least_cm, most_cm, math.inf), where, stamp_s, self._set_s)
 
-    def _whole_for_s(self, told: set[int], stamp_s: float) -> float:
+    def _whole_for_s(self, sectors: set[int], stamp_s: float) -> float:
         """For how long all sectors that were ever told have come, at even intervals."""
         since_s, until_s = self._whole_s
-        is_cut = max(told) < max(self._sectors, default=0)
+        is_cut = max(sectors) < max(self._sectors, default=0)
         gap_s, self._stamp_s = stamp_s - self._stamp_s, stamp_s
         is_late = gap_s > _EVEN * self._period_s
         if is_late or 0.0 < gap_s < self._period_s:
@@ -223,7 +223,7 @@ class NearSensing:
         if self._set_s < until_s:  # the autopilot has begun anew, and what it has told
             self._sectors.clear()
         self._whole_s = since_s, self._set_s
-        self._sectors |= told
+        self._sectors |= sectors
         return self._set_s - since_s
 
     def on_health(self, message: Message, now_s: float) -> None:

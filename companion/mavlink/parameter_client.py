@@ -154,8 +154,8 @@ class ParameterClient:
     def _on_value(self, message: Message) -> None:
         name, value = message.param_id, decoded(message, bytewise=self._bytewise)
         if not self._types:  # parameters are answered at all: tries count from here
-            for each in self._open.values():
-                each.tries = min(each.tries, 1)
+            for waiting in self._open.values():
+                waiting.tries = min(waiting.tries, 1)
         self._types[name] = message.param_type
         self.version += not _same(self.values.get(name), value)
         self.values[name] = value
@@ -196,7 +196,7 @@ class ParameterClient:
             else:
                 due.append((name, request))
         free = _OUTSTANDING - (len(self._open) - len(due))
-        due.sort(key=lambda each: each[1].tries)
+        due.sort(key=lambda named: named[1].tries)
         asked = due[: max(free, 0)]
         for _, request in asked:
             request.tries = max(request.tries + int(self.heard_s > request.asked_s), 1)

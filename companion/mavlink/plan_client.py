@@ -124,7 +124,7 @@ class PlanClient:
     """
 
     def __init__(self, system_id: int) -> None:
-        self._to, self._ours = (system_id, AUTOPILOT_COMPONENT), (system_id, COMPANION_COMPONENT)
+        self._to, self._own_ids = (system_id, AUTOPILOT_COMPONENT), (system_id, COMPANION_COMPONENT)
         self.plans = {kind: Plan(kind) for kind in KINDS}
         """By MAV_MISSION_TYPE."""
         self._transfer: _Transfer | None = None
@@ -169,14 +169,14 @@ class PlanClient:
             self._on_ids(message)
         elif transfer is not None and number in MESSAGES:
             target = (message.target_system, message.target_component)
-            if target == self._ours and message.mission_type == transfer.plan.kind:
+            if target == self._own_ids and message.mission_type == transfer.plan.kind:
                 return self._on_answer(transfer, number, message, now_s)
         return []
 
     def _on_ids(self, message: Message) -> None:
         """PX4 reports the ids of its lists once a second: download a list whose id is new."""
-        told = struct.unpack("<3I", payload_as_sent(message, 18)[6:] or bytes(12))
-        for kind, opaque_id in zip((MISSION, FENCE, RALLY), told, strict=True):
+        opaque_ids = struct.unpack("<3I", payload_as_sent(message, 18)[6:] or bytes(12))
+        for kind, opaque_id in zip((MISSION, FENCE, RALLY), opaque_ids, strict=True):
             plan = self.plans[kind]
             if opaque_id and plan.opaque_id and opaque_id != plan.opaque_id:
                 plan.due_s = plan.read_s = -math.inf
@@ -300,7 +300,7 @@ class PlanClient:
         due = [plan for plan in self.plans.values() if now_s >= plan.due_s]
         if not due:
             return None
-        plan = min(due, key=lambda each: (each.version > 0, each.due_s))
+        plan = min(due, key=lambda plan: (plan.version > 0, plan.due_s))
         read_all_s = max(READ_ALL_S, _READ_ALL_PER_ITEM_S * len(plan.items))
         whole = now_s - plan.read_s >= read_all_s
         few = not plan.opaque_id and len(plan.items) <= _FEW

@@ -96,12 +96,12 @@ class Preflight:
         self._looked, self._looks = False, 0
         self._failing_s = math.inf
         """Since when it does not pass."""
-        self._told = ""
+        self._last_refusal = ""
 
     def scan_position(self, heard: PreflightInputs) -> Vector | None:
         """Position to scan from now; None if no scan is needed."""
-        state, here = heard.state, heard.state.vehicle.position_nea_m
-        if here is None or state.phase not in (Phase.PREPARING, Phase.READY):
+        state, position = heard.state, heard.state.vehicle.position_nea_m
+        if position is None or state.phase not in (Phase.PREPARING, Phase.READY):
             return None
         if state.phase is Phase.READY:
             if heard.mission.near or _is_within(_LOOK_AGAIN_S, self._looked_s, state.now_s):
@@ -116,7 +116,7 @@ class Preflight:
             heard.last_scan = None  # of one that is ready, what the last scan saw counts till then
             self._looked, self._looks = True, self._looks + 1
         self._looked_s = state.now_s
-        return here
+        return position
 
     def judged(self, heard: PreflightInputs, *, at_once: bool = False) -> Prepared | None:
         """That the checks have passed, or which has failed for some seconds; None: nothing new.
@@ -128,12 +128,12 @@ class Preflight:
         ready = state.phase is Phase.READY
         asked = self._looked and heard.last_scan is not None and Item.CHECKS not in state.prepared
         prepares = state.phase is Phase.PREPARING and asked and not waiting_for(heard)
-        seldom = (ready or bool(self._told)) and not at_once
+        seldom = (ready or bool(self._last_refusal)) and not at_once
         waits = seldom and _is_within(_CHECK_S, self._checked_s, now_s)
         if waits or not (ready or prepares):
             return None
         self._checked_s = now_s
-        refused = (each for each in checks_of(heard) if each.status is CheckStatus.REFUSED)
+        refused = (check for check in checks_of(heard) if check.status is CheckStatus.REFUSED)
         if (first := next(refused, None)) is None:
             self._failing_s = math.inf
             return None if ready else Prepared(time_s=now_s, item=Item.CHECKS)
@@ -145,9 +145,9 @@ class Preflight:
         if not at_once and now_s - self._failing_s < _PATIENCE_S:
             return None
         refusal = f"{first.name}: {first.what}"
-        again, self._told = refusal == self._told and not ready, refusal
-        told = Prepared(time_s=now_s, item=Item.CHECKS, refusal=refusal, remedy=first.remedy)
-        return None if again else told
+        again, self._last_refusal = refusal == self._last_refusal and not ready, refusal
+        prepared = Prepared(time_s=now_s, item=Item.CHECKS, refusal=refusal, remedy=first.remedy)
+        return None if again else prepared
 
 
 def _is_within(period_s: float, since_s: float, now_s: float) -> bool:
@@ -237,10 +237,10 @@ def _link(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check]
     missing = vehicle.streams.missing
     what = f"{', '.join(missing)} asked for and not sent" if missing else "all that was asked for"
     yield _check("messages", not missing, what, "Give the link more bandwidth, or check its rates.")
-    found = state.duplicate_id or state.is_duplicate_suspected
-    ours = f"{vehicle.system_id}/{COMPANION_COMPONENT}"
-    what = f"{ours}: {Reason.NOT_ALONE.text}" if found else f"nobody else is {ours}"
-    yield _check("companion", not found, what, Reason.NOT_ALONE.remedy)
+    is_doubled = state.duplicate_id or state.is_duplicate_suspected
+    our_ids = f"{vehicle.system_id}/{COMPANION_COMPONENT}"
+    what = f"{our_ids}: {Reason.NOT_ALONE.text}" if is_doubled else f"nobody else is {our_ids}"
+    yield _check("companion", not is_doubled, what, Reason.NOT_ALONE.remedy)
 
 
 # --- what the autopilot holds
@@ -308,18 +308,18 @@ def _parted(line: str) -> tuple[str, str]:
 
 def _position(session: PreflightInputs) -> Iterator[Check]:
     state, vehicle = session.state, session.state.vehicle
-    on_ground, here = vehicle.landed is Landed.ON_GROUND, vehicle.position_nea_m
+    on_ground, position = vehicle.landed is Landed.ON_GROUND, vehicle.position_nea_m
     if vehicle.armed and on_ground and not state.armed_by_us:
         yield _check("armed", False, Reason.ARMED_ALREADY.text, Reason.ARMED_ALREADY.remedy)
     if distrusted := distrust(vehicle, state.now_s, state.task.limits):
         is_early = distrusted is Reason.NO_FIX and vehicle.fix_at_s < 0.0
         what = "no GPS fix was heard yet" if is_early else distrusted.text
         yield _check("position", False, what, distrusted.remedy)
-    elif here is not None:
+    elif position is not None:
         error = "" if vehicle.error_m is None else f", to {vehicle.error_m:.1f} m"
-        north_m, east_m = (round(value) + 0 for value in here[:2])
+        north_m, east_m = (round(value) + 0 for value in position[:2])
         yield _check("position", True, f"{north_m} m north, {east_m} m east{error}")
-    if here is None:
+    if position is None:
         return
     if vehicle.home_nea_m is not None:
         height_m = ground.height_m(state)
@@ -329,8 +329,8 @@ def _position(session: PreflightInputs) -> Iterator[Check]:
     where = "on the map and clear of zones" if clear else Reason.OUTSIDE.text
     yield _check("place", clear, where, Reason.OUTSIDE.remedy)
     known = session.mission.known
-    if known is not None and known.is_known(*here[:2]):
-        above_m = here[2] - float(known.upper_m[known.cell_of(*here[:2])])
+    if known is not None and known.is_known(*position[:2]):
+        above_m = position[2] - float(known.upper_m[known.cell_of(*position[:2])])
         ok = state.airborne or above_m > -(session.mission.task.error_m + known.cell_m)
         side = "above" if above_m >= 0.0 else "below"
         what = f"the vehicle stands {abs(above_m):.0f} m {side} the highest terrain of its cell"

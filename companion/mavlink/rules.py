@@ -89,7 +89,7 @@ class Rule:
         """All names, the usual one first."""
         return (self.name, self.also) if self.also else (self.name,)
 
-    def found(self, values: Mapping[str, float]) -> tuple[str, float, float] | None:
+    def reading(self, values: Mapping[str, float]) -> tuple[str, float, float] | None:
         """Its name on this autopilot, its value in SI, and the scale of its unit."""
         for name, scale in ((self.name, self.scale), (self.also, self.also_scale)):
             value = values.get(name)
@@ -119,23 +119,23 @@ def findings_of(
     values: by name, in the autopilot's units, when everything was asked for.  A mission that does
     not set parameters (`sets_parameters`) refuses what otherwise would be set.
     """
-    found = {rule: rule.found(values) for rule in rules if rule.matters(mission)}
-    if found and not any(found.values()):
+    readings = {rule: rule.reading(values) for rule in rules if rule.matters(mission)}
+    if readings and not any(readings.values()):
         silent = "the autopilot has answered no request for a parameter"
         return [Finding(silent, "Check that the link carries both ways", name="parameters")]
-    in_si = {rule.name: known[1] for rule, known in found.items() if known is not None}
+    in_si = {rule.name: known[1] for rule, known in readings.items() if known is not None}
     case = Case(mission=mission, home_amsl_m=home_amsl_m, values=in_si)
     findings = list[Finding]()
-    for rule, known in found.items():
+    for rule, known in readings.items():
         if known is None and rule.essential:
             missing = f"the autopilot does not tell it; {rule.essential}"
             findings.append(Finding(missing, "Fly a firmware that has it", name=rule.name))
         elif known is not None and rule.check is not None:
             name, value, scale = known
             if (verdict := rule.check(value, case)) is not None:
-                told = replace(verdict, name=name, value=values[name])
-                findings.append(_to_be_set(told, scale, mission))
-    return sorted(findings, key=lambda each: each.set_to is not None)
+                finding = replace(verdict, name=name, value=values[name])
+                findings.append(_to_be_set(finding, scale, mission))
+    return sorted(findings, key=lambda finding: finding.set_to is not None)
 
 
 def _to_be_set(finding: Finding, scale: float, mission: Mission) -> Finding:
@@ -166,8 +166,8 @@ def at_least(
         needed = bound(case.limits)
         if (needed - value if most else value - needed) >= -EQUAL_WITHIN:
             return None
-        told = {"value": value, "needed": needed, "up": up_to_tenths(needed)}
-        return Finding(rule.format(**told), remedy.format(**told))
+        words = {"value": value, "needed": needed, "up": up_to_tenths(needed)}
+        return Finding(rule.format(**words), remedy.format(**words))
 
     return check
 

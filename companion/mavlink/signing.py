@@ -95,7 +95,7 @@ class Signing:
             raise ValueError(f"a key has {KEY_BYTES} bytes")
         self.refused = 0
         """Frames that were not believed: unsigned, wrongly signed, replayed, or too old."""
-        self._told, self._told_at_s = 0, -math.inf
+        self._complained, self._complained_at_s = 0, -math.inf
         self._streams: dict[tuple[int, int, int], int] = {}
         """The newest time stamp of each link id, system and component."""
         self._next = timestamp
@@ -154,10 +154,10 @@ class Signing:
 
     def complaint(self, now_s: float) -> str | None:
         """Rejections since the last text: at most once a minute, short enough for a STATUSTEXT."""
-        new = self.refused - self._told
-        if not new or 0.0 <= now_s - self._told_at_s < _COMPLAIN_S:  # a clock may begin again
+        new = self.refused - self._complained
+        if not new or 0.0 <= now_s - self._complained_at_s < _COMPLAIN_S:  # a clock may begin again
             return None
-        self._told, self._told_at_s = self.refused, now_s
+        self._complained, self._complained_at_s = self.refused, now_s
         return f"refused: {new} frames unsigned or wrongly signed"
 
     def _raise_to(self, timestamp: int) -> None:

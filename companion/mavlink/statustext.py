@@ -47,12 +47,12 @@ class StatusTexts:
 
     def add(self, text: str, now_s: float, *, warning: bool = False, kind: str = "") -> None:
         """Queue a text; it replaces a queued one of the same kind, without a kind its equal."""
-        said = to_ascii(text)
-        self._waiting.pop(kind or said, None)
-        before, at_s = self._sent.get(kind or said, ("", -math.inf))
-        is_new = said != before or not 0.0 <= now_s - at_s < _REPEAT_S
+        ascii_text = to_ascii(text)
+        self._waiting.pop(kind or ascii_text, None)
+        before, at_s = self._sent.get(kind or ascii_text, ("", -math.inf))
+        is_new = ascii_text != before or not 0.0 <= now_s - at_s < _REPEAT_S
         if is_new and not self._over and (warning or len(self._waiting) < _MAX_WAITING):
-            self._waiting[kind or said] = _Text(said, warning, now_s)
+            self._waiting[kind or ascii_text] = _Text(ascii_text, warning, now_s)
 
     @property
     def due_s(self) -> float:
@@ -66,7 +66,7 @@ class StatusTexts:
                 del self._waiting[kind]
         if not self._waiting or 0.0 <= now_s - self._sent_s < self._lasts_s:  # a clock may fall
             return []
-        kind = min(self._waiting, key=lambda each: not self._waiting[each].warning)
+        kind = min(self._waiting, key=lambda name: not self._waiting[name].warning)
         first = self._waiting.pop(kind)
         lately = {k: v for k, v in self._sent.items() if 0.0 <= now_s - v[1] < _REPEAT_S}
         self._sent = {**lately, kind: (first.text, now_s)}
@@ -76,13 +76,13 @@ class StatusTexts:
 
     def end(self, end: End, *, held: bool, disarmed: bool = False) -> tuple[str, list[Message]]:
         """Text and messages for the end of the mission: the last ones, to be sent at once."""
-        told = f"; told to hold{' and disarm' if disarmed else ''}" if held else ""
-        text = f"ended, {end.outcome.value}: {end.reason}{told}"
+        orders = f"; told to hold{' and disarm' if disarmed else ''}" if held else ""
+        text = f"ended, {end.outcome.value}: {end.reason}{orders}"
         return text, self.last(text, warning=end.outcome is not Outcome.ARRIVED)
 
     def last(self, text: str, *, warning: bool = True) -> list[Message]:
         """The final text, to be sent at once, after any queued warnings."""
-        left = [each for each in self._waiting.values() if each.warning]
+        left = [waiting for waiting in self._waiting.values() if waiting.warning]
         self._waiting, self._over = {}, True
         return [*chain(*map(self._messages, left)), *final_text(text, warning=warning)]
 

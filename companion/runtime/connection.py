@@ -43,10 +43,10 @@ class Connection:
     def resolved(self) -> tuple[socket.AddressFamily, tuple[str, int]]:
         """The kind of network and the numeric address; InputError if there is no such host."""
         try:
-            found = socket.getaddrinfo(self.name, self.number)
+            addresses = socket.getaddrinfo(self.name, self.number)
         except (OSError, UnicodeError) as error:
             raise _wrong(self.text, "no such host") from error
-        family, *_, address = min(found, key=lambda each: each[0] is not socket.AF_INET)
+        family, *_, address = min(addresses, key=lambda entry: entry[0] is not socket.AF_INET)
         return family, (str(address[0]), self.number)
 
     def refused(self, error: Exception) -> InputError:

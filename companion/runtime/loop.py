@@ -127,10 +127,10 @@ class Loop:
         except GeneratorExit:  # the caller has seen enough
             raise
         except BaseException as error:
-            said = f"{type(error).__name__}: {error}"
-            self.watchdog.died(said)
+            reason = f"{type(error).__name__}: {error}"
+            self.watchdog.died(reason)
             with contextlib.suppress(Exception):  # the error itself is what counts
-                self._record_the_end(error, said)
+                self._record_the_end(error, reason)
             raise
         finally:
             self.ended.set()
@@ -165,13 +165,13 @@ class Loop:
             if self.link.receive(0.0) is None:
                 break
 
-    def _record_the_end(self, error: BaseException, said: str) -> None:
+    def _record_the_end(self, error: BaseException, reason: str) -> None:
         """Record the inputs before an error, to reproduce it."""
         out = self.session.take_output()
         _leave_out(out, [*range(len(out.frames))])
         frames = (frame for frame, _ in traceback.walk_tb(error.__traceback__))
         calls = (f.f_code.co_name for f in frames if f.f_locals.get("self") is self.session)
-        out.inputs.append(("raised", next(calls, ""), said))
+        out.inputs.append(("raised", next(calls, ""), reason))
         self.record(out)
 
     def _turn(self) -> None:
@@ -287,11 +287,11 @@ class Loop:
     def _note_track(self) -> None:
         if not self.session.mission.task.limits.hovers:
             self.flown.note_passing()
-        here, now_s = self.session.state.vehicle.position_nea_m, self.session.now_s
+        position, now_s = self.session.state.vehicle.position_nea_m, self.session.now_s
         waits = 0.0 <= now_s - self._track_at_s < self._track_every_s  # or its clock begins again
-        if here is not None and not waits:
+        if position is not None and not waits:
             self._track_at_s = now_s
-            self.flown.track_nea_m.append(here)
+            self.flown.track_nea_m.append(position)
             if len(self.flown.track_nea_m) > _MAX_TRACK:
                 self._track_every_s *= 2.0
                 del self.flown.track_nea_m[1::2]

@@ -90,7 +90,7 @@ class PlannerProcess:
         self.process: SpawnProcess | None = None
         """Once it is started."""
         self.is_ready = False
-        self._told: int | None = None
+        self._map_sent: int | None = None
         """The name of the map that it has."""
         self._asked: PlanRequest | None = None
         """What is to be sent once it has answered the last one."""
@@ -115,18 +115,18 @@ class PlannerProcess:
             if self.process is None:
                 self._start()
             if not select.select([self._pipe], (), (), wait_s)[0]:
-                told: Answer | str | None = "it has stood still"
+                answer: Answer | str | None = "it has stood still"
                 if time.monotonic() <= self._due_s:
                     return None
             else:
-                told = self._pipe.recv()
+                answer = self._pipe.recv()
         except Exception as error:  # noqa: BLE001 - however the pipe ends, the child is of no use
             raise PlannerEndedError(self._how_it_ended(error)) from None
-        if isinstance(told, str):
-            raise PlannerEndedError(told)
+        if isinstance(answer, str):
+            raise PlannerEndedError(answer)
         self.is_ready, self._is_busy, self._due_s = True, False, math.inf
         self._send()
-        return None if self._is_busy else told
+        return None if self._is_busy else answer
 
     def close(self) -> None:
         """Kill the process."""
@@ -155,7 +155,7 @@ class PlannerProcess:
         request, self._asked, self._is_busy = self._asked, None, True
         searching_s = _SEARCHING * request.time_s if self._hurries else math.inf
         self._due_s = time.monotonic() + searching_s / _SEARCHING + _SLACK_S
-        news, self._told = MapNews.of(request.known, self._told), request.known.name
+        news, self._map_sent = MapNews.of(request.known, self._map_sent), request.known.name
 
         def send() -> None:
             with contextlib.suppress(OSError):  # then there is no answer
@@ -201,10 +201,10 @@ def _main(pipe: Connection, planner: PlanFunction, prepare: Callable[[], object]
     with contextlib.suppress(EOFError, OSError):
         pipe.send(None)
         while True:
-            told = pipe.recv()
-            if told is None:  # it came too late to stop anything
+            question = pipe.recv()
+            if question is None:  # it came too late to stop anything
                 continue
-            request, news, searching_s = told
+            request, news, searching_s = question
             known, began_s = news.after(known), time.perf_counter()
             try:
                 outcome = planner(replace(request, known=known), enough)

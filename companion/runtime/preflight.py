@@ -31,7 +31,7 @@ def run_preflight(
     """
     began_s = heard_s = time.monotonic()
     scanned_s = answered_s = math.inf
-    said = ""
+    last_shown = ""
     while not stop_asked():
         data, now_s = link.receive(_POLL_S), time.monotonic()
         if data is not None and session.receive(data, now_s):
@@ -54,6 +54,6 @@ def run_preflight(
             scans = session.last_scan is None and 0.0 <= now_s - scanned_s < _SCAN_S
             if not scans and now_s - answered_s > (_MIN_S if settled else _MAX_S):
                 return
-        if waiting != said:
-            said = waiting
-            on_progress(said)
+        if waiting != last_shown:
+            last_shown = waiting
+            on_progress(last_shown)

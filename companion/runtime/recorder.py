@@ -41,7 +41,7 @@ class Recorder:
         self._persisted_s = clock()
         self._unwritten: list[Output] = []
         self._portion = portion
-        self._told = set[str]()
+        self._parts_told = set[str]()
 
     def put(self, out: Output) -> None:
         """Write an output, now or with those that follow."""
@@ -56,17 +56,17 @@ class Recorder:
 
     def tell(self, part: str, why: str | None) -> None:
         """Tell of a loss, unless there is none or it was told."""
-        if why is not None and part not in self._told:
-            self._told.add(part)
+        if why is not None and part not in self._parts_told:
+            self._parts_told.add(part)
             self._on_loss(Failure(part, why))
 
     def _write(self) -> None:
         """The newest map comes before the newest checkpoint, which may build on it."""
         outs, self._unwritten, folder = self._unwritten, [], self.folder
         try:
-            folder.frames([each for out in outs for each in out.record])
-            folder.entries([each for out in outs for each in out.journal])
-            folder.inputs([each for out in outs for each in out.inputs])
+            folder.frames([stamped for out in outs for stamped in out.record])
+            folder.entries([entry for out in outs for entry in out.journal])
+            folder.inputs([call for out in outs for call in out.inputs])
             if known := [out.known for out in outs if out.known is not None]:
                 folder.known_map(known[-1])
             if kept := [out.checkpoint for out in outs if out.checkpoint is not None]:

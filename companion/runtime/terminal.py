@@ -59,9 +59,9 @@ def stop_signals() -> Iterator[list[int]]:
         received.append(number)
 
     numbers = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
-    before = {each: signal.signal(each, note) for each in numbers}
+    before = {number: signal.signal(number, note) for number in numbers}
     try:
         yield received
     finally:
-        for each, handler in before.items():
-            signal.signal(each, handler)
+        for number, handler in before.items():
+            signal.signal(number, handler)

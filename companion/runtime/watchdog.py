@@ -73,7 +73,7 @@ class Gate:
             if since_s is not None:
                 is_stale = self._clock() - since_s > SETPOINT_AGE_S
                 unsent = setpoints if is_stale else setpoints[:-1]
-            self._link.send([each for at, each in enumerate(frames) if at not in unsent])
+            self._link.send([frame for at, frame in enumerate(frames) if at not in unsent])
         if len(unsent) < len(setpoints):
             self._streamed_s = self._clock()
         return unsent

@@ -86,14 +86,14 @@ class ElevationTable(Table):
                         rule = f"[area] takes more than {_MAX_CELLS:.1e} of its cells"
                         raise _refusal(path, rule, "Make [area] smaller.")
                     window = (rows.start, rows.stop), (columns.start, columns.stop)
-                    found = source.read(1, window=window, boundless=True, masked=True)
+                    heights = source.read(1, window=window, boundless=True, masked=True)
                     at, (height, width) = source.transform, source.shape
         except rasterio.errors.RasterioError as error:
             rule = f"it cannot be read ({' '.join(str(error).split())})"
             raise _refusal(path, rule, _NAME_ONE) from None
         beyond = ~np.outer(np.isin(rows, range(height)), np.isin(columns, range(width)))
-        unknown = beyond | np.ma.getmaskarray(found) | ~np.isfinite(found.data)
-        heights_m = found.data.astype(np.result_type(found.dtype, np.float32))
+        unknown = beyond | np.ma.getmaskarray(heights) | ~np.isfinite(heights.data)
+        heights_m = heights.data.astype(np.result_type(heights.dtype, np.float32))
         if self.nodata is not None:
             heights_m[unknown] = 0.0 if self.nodata == "sea" else self.nodata
             unknown = beyond
@@ -141,8 +141,8 @@ class KnownElevationTable(ElevationTable):
     def height_m(self, folder: Path, latitude_deg: float, longitude_deg: float) -> float | None:
         """The highest of its cells about a place, metres AMSL; None: one of them has no height."""
         frame = LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
-        here = self._read(folder / self.file, frame, ((0.0, 0.0), (0.0, 0.0)))
-        return None if here[1].any() else float(here[0].heights_m.max())
+        grid = self._read(folder / self.file, frame, ((0.0, 0.0), (0.0, 0.0)))
+        return None if grid[1].any() else float(grid[0].heights_m.max())
 
 
 def _refusal(path: Path, rule: str, remedy: str) -> InputError:
@@ -197,8 +197,8 @@ def _window(source: Any, frame: LocalFrame, area_m: _Area) -> list[range]:
     row = (latitude - at.f) / at.e - 0.5
     column = wrap_deg(longitude - (at.c + half * at.a)) / at.a + half - 0.5
     return [
-        range(math.floor(each.min() - 0.01), math.ceil(each.max() + 0.01) + 1)
-        for each in (row, column)
+        range(math.floor(axis.min() - 0.01), math.ceil(axis.max() + 0.01) + 1)
+        for axis in (row, column)
     ]
 
 

@@ -132,12 +132,12 @@ def json_table(path: Path, field: str, remedy: str) -> RawTable:
 
     text = read_text(path, field, remedy)
     try:
-        found = with_printable_texts(json.loads(text, parse_constant=constant))
+        value = with_printable_texts(json.loads(text, parse_constant=constant))
     except (RecursionError, ValueError) as error:
         raise InputError(field, str(path), f"not JSON: {_one_line(error)}", remedy) from None
-    if not isinstance(found, dict):
+    if not isinstance(value, dict):
         raise InputError(field, str(path), "it holds no JSON object", remedy)
-    return found
+    return value
 
 
 def plain(text: object, default: str, most: int = 60) -> str:
@@ -159,14 +159,14 @@ def with_settings(table: RawTable, settings: Sequence[str]) -> RawTable:
         if not sign or not all([*above, last]):
             remedy = "Write it like planner.safety_distance_m=300."
             raise InputError("--set", setting, "it is not a key, an = and a value", remedy)
-        table = here = dict(table)
+        table = inner = dict(table)
         for key in above:
-            below = here.get(key)
-            here[key] = here = dict(below) if isinstance(below, dict) else {}
+            below = inner.get(key)
+            inner[key] = inner = dict(below) if isinstance(below, dict) else {}
         try:
-            here[last] = tomllib.loads(f"value = {text}")["value"]
+            inner[last] = tomllib.loads(f"value = {text}")["value"]
         except (RecursionError, ValueError):
-            here[last] = text.strip()  # a string: people leave out the quotes
+            inner[last] = text.strip()  # a string: people leave out the quotes
     return table
 
 

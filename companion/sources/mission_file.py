@@ -134,9 +134,9 @@ class ScannerTable(
     def broken(self) -> Iterator[Broken]:
         """It says what its kind has."""
         is_radar, of_radars = self.kind == _RADAR, {"scanner_complete"}
-        said = self.model_fields_set - {"kind"}
+        given = self.model_fields_set - {"kind"}
         rule = f"it is of kind {' or '.join(get_args(Kind)) if is_radar else _RADAR}"
-        for name in sorted(said - of_radars if is_radar else said & of_radars):
+        for name in sorted(given - of_radars if is_radar else given & of_radars):
             key, value = type(self).model_fields[name].alias or name, getattr(self, name)
             value = math.degrees(value) if key.endswith("_deg") else value
             yield key, value, rule, "Remove it, or write that kind."
@@ -152,7 +152,7 @@ class ScannerTable(
         return NearSensor(**{"component_id": usual, "range_m": range_m} | self.of(NearSensor))
 
 
-class WeightsTable(keys_of(Weights, *(each.name for each in fields(Weights)))):  # type: ignore[misc]
+class WeightsTable(keys_of(Weights, *(weight.name for weight in fields(Weights)))):  # type: ignore[misc]
     """a_1 .. a_6 of eq. 5."""
 
 
@@ -358,9 +358,9 @@ def complete(given: RawTable, folder: Path, where: str) -> MissionFile:
         threats = _threats({"file": asked} if isinstance(asked, str) else asked, folder, where)
         notes += threats.notes
         table = {key: value for key, value in table.items() if key != "threats"}
-        for key, found in (("keep_outs", threats.keep_outs), ("keep_ins", threats.keep_ins)):
-            if found and isinstance(table.get(key, []), list):
-                table[key] = [*table.get(key, []), *found]
+        for key, zones in (("keep_outs", threats.keep_outs), ("keep_ins", threats.keep_ins)):
+            if zones and isinstance(table.get(key, []), list):
+                table[key] = [*table.get(key, []), *zones]
     terrain = given.get("terrain")
     if isinstance(terrain, dict) and isinstance(terrain.get("file"), str):
         file = str((folder / terrain["file"]).absolute())
@@ -398,9 +398,9 @@ def _with_plan(table: RawTable, folder: Path, where: str) -> tuple[RawTable, lis
 
 def _ground(table: RawTable, folder: Path, where: str) -> Ground | None:
     """The ground that [terrain] knows, for altitudes above it; None: it says nothing."""
-    if not isinstance(said := table.get("terrain"), dict):
+    if not isinstance(given := table.get("terrain"), dict):
         return None
-    terrain = validated(_OnlyTerrain, {"terrain": said}, where).terrain
+    terrain = validated(_OnlyTerrain, {"terrain": given}, where).terrain
 
     def height_m(latitude_deg: float, longitude_deg: float) -> float | None:
         with within(where):
@@ -423,8 +423,15 @@ def mission_of(model: MissionTable, profile: str | None, notes: tuple[str, ...] 
     for number, target in enumerate(targets):
         places.append(target.place(frame, _field(number, target)))
         rules.refuse(rules.of_target(task, places[-1], _field(number, target)))
-    said = (model.vehicle, model.end, model.fallback, model.battery, model.link, model.from_vehicle)
-    as_written = {key: value for each in said for key, value in each.of(Mission).items()}
+    tables = (
+        model.vehicle,
+        model.end,
+        model.fallback,
+        model.battery,
+        model.link,
+        model.from_vehicle,
+    )
+    as_written = {key: value for table in tables for key, value in table.of(Mission).items()}
     if not model.scans_ground:
         as_written["scanner_component_id"] = None
     stated = ""
@@ -435,7 +442,7 @@ def mission_of(model: MissionTable, profile: str | None, notes: tuple[str, ...] 
         name=model.name,
         frame=frame,
         targets_ne_m=tuple(places),
-        altitudes_amsl_m=_carried_on([each.altitude_amsl_m for each in targets]),
+        altitudes_amsl_m=_carried_on([target.altitude_amsl_m for target in targets]),
         task=task,
         scanner_complete=model.scanner.scanner_complete,
         near=model.scanner.sensor(model.planner.scan_range_m),

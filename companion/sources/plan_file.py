@@ -177,7 +177,7 @@ class Plan(Zones):
                 self.left_out[item.complex_type] += 1
             elif item.survey:
                 inner = f"{where}.TransectStyleComplexItem.Items"
-                self.take((f"{inner}[{k}]", each) for k, each in enumerate(item.survey))
+                self.take((f"{inner}[{k}]", inner_item) for k, inner_item in enumerate(item.survey))
             else:
                 rule = "it holds no waypoints"
                 remedy = "Save the plan again with QGroundControl, or replace it by waypoints."
@@ -264,11 +264,11 @@ def read_plan(path: Path, where: str, ground: Ground | None = None) -> Plan:
     Raises InputError about the field (where) if it cannot be read as a .plan, or naming the item
     that cannot be flown: jumps, take-off or landing as a VTOL, places without a known datum.
     """
-    found = json_table(path, where, _REMEDY)
-    if found.get("fileType") != "Plan":
+    table = json_table(path, where, _REMEDY)
+    if table.get("fileType") != "Plan":
         raise InputError(where, str(path), "it is no QGroundControl plan", _REMEDY)
     with within(path.name):
-        content = validated(_Plan, found)
+        content = validated(_Plan, table)
         mission, remedy = content.mission, "Set it in QGroundControl (Mission Start)."
         home = "mission.plannedHomePosition"
         plan = Plan.launched(path.name, mission.home, home, remedy, ground)
@@ -331,10 +331,10 @@ def read_waypoint_list(path: Path, where: str, ground: Ground | None = None) -> 
     with within(path.name):
         plan = Plan.launched(path.name, home.place, f"{label} (launch)", remedy, ground)
         if home.frame not in AMSL_FRAMES:
-            said = f"of frame {home.frame}, is taken to be above mean sea level"
-            plan.notes.append(f"launch: its altitude, {plan.home_amsl_m:g} m {said}")
+            reference = f"of frame {home.frame}, is taken to be above mean sea level"
+            plan.notes.append(f"launch: its altitude, {plan.home_amsl_m:g} m {reference}")
         plan.rally_points = _take_zones(items, plan)
-        plan.take(each for each in items if each[1].command not in _OF_ZONES)
+        plan.take(labelled for labelled in items if labelled[1].command not in _OF_ZONES)
     return plan.with_left_out()
 
 
@@ -355,26 +355,28 @@ def _items(path: Path, where: str) -> list[Labelled]:
     head, *lines = read_text(path, where, _SAVE_AGAIN).lstrip().splitlines()
     if head.split() != [*_HEAD.split(), "110"]:
         raise InputError(where, head.strip(), f"only {_HEAD} 110 is known", _SAVE_AGAIN)
-    loader, found = mavwp.MAVWPLoader(), list[Labelled]()
+    loader, labelled = mavwp.MAVWPLoader(), list[Labelled]()
     with within(path.name):
         for number, line in enumerate(lines, start=2):
             try:
                 loader._read_waypoints_v110([line])
             except (mavwp.MAVWPError, ValueError) as error:
-                said, rule = line.strip()[:60], str(error)[:100]
-                raise InputError(f"line {number}", said, rule, _SAVE_AGAIN) from None
+                text, rule = line.strip()[:60], str(error)[:100]
+                raise InputError(f"line {number}", text, rule, _SAVE_AGAIN) from None
         for number, item in enumerate(loader.wpoints):
             numbers = [item.param1, item.param2, item.param3, item.param4, item.x, item.y, item.z]
-            given = [None if math.isnan(each) else each for each in numbers]
+            given = [None if math.isnan(number) else number for number in numbers]
             table = {"command": item.command, "frame": item.frame, "params": given}
-            found.append((f"item {number}", validated(Item, table, f"item {number}")))
-    return found
+            labelled.append((f"item {number}", validated(Item, table, f"item {number}")))
+    return labelled
 
 
 def _take_zones(items: Iterable[Labelled], zones: Zones) -> list[RawTable]:
     """Add circles and polygons, whose corners follow one another; the rally points."""
     rally_points = list[RawTable]()
-    for (command, size), group in groupby(items, lambda each: (each[1].command, each[1].size)):
+    for (command, size), group in groupby(
+        items, lambda labelled: (labelled[1].command, labelled[1].size)
+    ):
         members, step = list(group), 1
         if command in _POLYGONS:
             if short := len(members) if size < 3 or size % 1 else len(members) % size:
@@ -384,7 +386,7 @@ def _take_zones(items: Iterable[Labelled], zones: Zones) -> list[RawTable]:
         for first in range(0, len(members), step):
             (label, item), number = members[first], len(zones.keep_ins + zones.keep_outs) + 1
             if command in _POLYGONS:
-                corners = [each.place for _, each in members[first : first + step]]
+                corners = [corner.place for _, corner in members[first : first + step]]
                 inside = command == fence.POLYGON_IN
                 zones.add(f"fence polygon {number}", label, inside, *corners)
             elif command in _CIRCLES:
@@ -445,8 +447,8 @@ def with_plan(given: RawTable, plan: Plan, name: str) -> tuple[RawTable, list[st
     count.  name: of the mission, if nothing is given.  Raises InputError about a waypoint that is
     too far from launch for any map, or whose altitude without a radar is not known.
     """
-    said, is_blind = _at(given, "vehicle.kind"), _at(given, "vehicle.scanner") is False
-    kind = said if said in ("copter", "plane") else plan.kind or "copter"
+    given_kind, is_blind = _at(given, "vehicle.kind"), _at(given, "vehicle.scanner") is False
+    kind = given_kind if given_kind in ("copter", "plane") else plan.kind or "copter"
     own_targets = not _at(given, "from_vehicle.targets")
     if is_blind and own_targets and plan.unknown_altitudes:  # which would be flown as planned
         where, height_m = plan.unknown_altitudes[0]
@@ -555,10 +557,10 @@ def _area(table: RawTable, plan: Plan, sight_m: float) -> RawTable | None:
     """
     try:
         frame = LocalFrame(**dict(OriginTable.model_validate(table["origin"])))
-        targets = [TargetTable.model_validate(each) for each in table.get("targets", ())]
+        targets = [TargetTable.model_validate(target) for target in table.get("targets", ())]
     except (TypeError, ValidationError):
         return None
-    local_m = [frame.to_local_m(*plan.home_deg), *(each.local_m(frame) for each in targets)]
+    local_m = [frame.to_local_m(*plan.home_deg), *(target.local_m(frame) for target in targets)]
     places_m = np.array(local_m, dtype=np.float64)
     if not np.isfinite(places_m).all():
         return None
@@ -596,8 +598,8 @@ def _about_altitude(plan: Plan, band: RawTable, *, is_blind: bool) -> str:
 def _at(table: RawTable, path: str) -> Any:
     """What stands at a path ("vehicle.kind"); None: nothing."""
     above, _, key = path.rpartition(".")
-    here = _at(table, above) if above else table
-    return here.get(key) if isinstance(here, dict) else None
+    inner = _at(table, above) if above else table
+    return inner.get(key) if isinstance(inner, dict) else None
 
 
 def _number(table: RawTable, path: str, default: float, above: float = -1e9) -> float:

@@ -39,7 +39,7 @@ class Table(BaseModel):
 
     def of(self, kind: type) -> dict[str, Any]:
         """The values of the fields that a dataclass has too, but for what was left out."""
-        names = {each.name for each in fields(kind)} & type(self).model_fields.keys()
+        names = {field.name for field in fields(kind)} & type(self).model_fields.keys()
         values = {name: getattr(self, name) for name in names}
         return {name: value for name, value in values.items() if value is not None}
 
@@ -68,8 +68,8 @@ class Table(BaseModel):
 
 
 def _refusal(field: str, value: object, rule: str, remedy: str) -> PydanticCustomError:
-    told = {"field": field, "value": value, "rule": rule, "remedy": remedy}
-    return PydanticCustomError(_RULE, "{rule}", told)
+    context = {"field": field, "value": value, "rule": rule, "remedy": remedy}
+    return PydanticCustomError(_RULE, "{rule}", context)
 
 
 def broken_of(*rules: tuple[bool, str, object, str, str]) -> Iterator[Broken]:
@@ -85,7 +85,7 @@ def keys_of(kind: type, *names: str, **keys_by_name: str) -> Any:
     keys_by_name: fields whose key in the file is another: field="key".
     """
     types_of = typing.get_type_hints(kind, include_extras=True)
-    defaults = {each.name: each.default for each in fields(kind)}
+    defaults = {field.name: field.default for field in fields(kind)}
     keys: Any = {
         name: (
             types_of[name],
@@ -107,12 +107,12 @@ def validated(model: type[Model], table: dict[str, Any], where: str = "") -> Mod
         return model.model_validate(table)
     except ValidationError as error:
         first = error.errors()[0]
-    kind, value, told = first["type"], first["input"], first.get("ctx", {})
+    kind, value, context = first["type"], first["input"], first.get("ctx", {})
     place = [step for step in first["loc"] if not str(step).startswith("(")]  # not a tag
     rule, remedy = first["msg"], "Give a valid value; see docs/files.md."
-    limits = [f"{word} {told[limit]:g}" for limit, word in _LIMITS.items() if limit in told]
+    limits = [f"{word} {context[limit]:g}" for limit, word in _LIMITS.items() if limit in context]
     if kind == _RULE:
-        value, remedy, place = told["value"], told["remedy"], [*place, told["field"]]
+        value, remedy, place = context["value"], context["remedy"], [*place, context["field"]]
     elif kind == "missing":
         value, rule, remedy = None, "it is missing", f"Add {place[-1]}; see docs/files.md."
     elif kind == "model_type":

@@ -120,20 +120,20 @@ def zones_of(
 ) -> tuple[tuple[Zone, ...], str]:
     """The zones that matter, and how many keep-outs were left out that lie away from the map."""
     (south, north), (west, east) = task.limits.north_m, task.limits.east_m
-    by_m, found = task.zone_search_clearance_m, list[Zone]()
+    by_m, kept = task.zone_search_clearance_m, list[Zone]()
     map_ne_m = shapely.box(south - by_m, west - by_m, north + by_m, east + by_m)
     for number, table in enumerate(keep_outs):
         zone = _zone(table, frame, map_ne_m, f"keep_outs[{number}]", keep_in=False)
-        found += [] if zone is None else [zone]
-    far = len(keep_outs) - len(found)
+        kept += [] if zone is None else [zone]
+    far = len(keep_outs) - len(kept)
     for number, table in enumerate(keep_ins):
         zone = _zone(table, frame, map_ne_m, field := f"keep_ins[{number}]", keep_in=True)
         if zone is None:
             rule = "all of the map lies outside of it, more than 1,000 km from its corners"
             raise InputError(field, table.name, rule, "Remove it, or correct it.")
-        found.append(zone)
+        kept.append(zone)
     note = f"{far} of {len(keep_outs)} keep-outs lie away from the map" if far else ""
-    return tuple(found), note
+    return tuple(kept), note
 
 
 def _zone(
@@ -165,7 +165,7 @@ def _zone(
         if onwards is None or not all(map(_is_near, corners)):
             spans = (south, north), (west, east)
             ways = (onwards, degrees)  # around the Earth
-            if onwards and not any(parts_within(each, frame, *spans) for each in ways if each):
+            if onwards and not any(parts_within(ring, frame, *spans) for ring in ways if ring):
                 return None
             raise _too_far(table, field)
         drawn = tuple(frame.to_local_m(*place) for place in straight_in_degrees(onwards))
@@ -253,16 +253,18 @@ def read_geojson(path: Path, where: str, leave_out: Collection[NoZone] = ()) -> 
     Raises InputError about it, naming the feature in it, or counting those that are no zones.
     Polygons and multipolygons are zones; a point with the property radius_m is a circle.
     """
-    found = json_table(path, where, _REMEDY)
-    crs = found.get("crs")  # of before RFC 7946
+    content = json_table(path, where, _REMEDY)
+    crs = content.get("crs")  # of before RFC 7946
     if crs is not None and not any(name in str(crs) for name in _WGS84):
         rule = "its coordinates (crs) are not longitude and latitude of WGS84"
         remedy = "Convert it (ogr2ogr -t_srs EPSG:4326 -lco RFC7946=YES)."
         raise InputError(where, str(path), rule, remedy)
-    if found.get("type") in _GEOMETRIES:
-        found = {"type": "Feature", "geometry": found}
-    features = [found] if found.get("type") == "Feature" else found.get("features")
-    if found.get("type") not in ("FeatureCollection", "Feature") or not isinstance(features, list):
+    if content.get("type") in _GEOMETRIES:
+        content = {"type": "Feature", "geometry": content}
+    features = [content] if content.get("type") == "Feature" else content.get("features")
+    if content.get("type") not in ("FeatureCollection", "Feature") or not isinstance(
+        features, list
+    ):
         raise InputError(where, str(path), "it is no GeoJSON FeatureCollection", _REMEDY)
     zones, no_zones = Zones(), Counter[NoZone]()
     for index, feature in enumerate(features):
@@ -271,7 +273,7 @@ def read_geojson(path: Path, where: str, leave_out: Collection[NoZone] = ()) -> 
             raise InputError(label, feature, 'it has no type "Feature"', "Remove or complete it.")
         no_zones.update(_take(feature, f"feature {index}", label, zones))
     counted = {kind: f"{n:,} x {_NO_ZONES[kind]}" for kind, n in no_zones.items()}
-    if unasked := [said for kind, said in counted.items() if kind not in leave_out]:
+    if unasked := [words for kind, words in counted.items() if kind not in leave_out]:
         kinds = ", ".join(f'"{kind}"' for kind in counted)
         remedy = (
             "Remove or complete them, or leave them out: "
@@ -280,8 +282,8 @@ def read_geojson(path: Path, where: str, leave_out: Collection[NoZone] = ()) -> 
         rule = "a zone is a polygon, or a point with radius_m"
         raise InputError(f"{path.name}: features", ", ".join(unasked), rule, remedy)
     if counted:
-        said = ", ".join(counted.values())
-        zones.notes.append(f"{path.name}: left out, as they are no zones: {said}")
+        left_out = ", ".join(counted.values())
+        zones.notes.append(f"{path.name}: left out, as they are no zones: {left_out}")
     return zones
 
 
@@ -303,14 +305,14 @@ def _take(raw: RawTable, default: str, label: str, zones: Zones) -> Iterator[NoZ
             yield "points" if isinstance(part, shapely.Point) else "lines"
     if not polygons and not points:
         return
-    said, where = validated(_Properties, given, f"{label}.properties"), f"{label}.geometry"
-    inside = said.kind == "keep_in"
+    properties, where = validated(_Properties, given, f"{label}.properties"), f"{label}.geometry"
+    inside = properties.kind == "keep_in"
     if inside and len(polygons) > 1:
         rule = "the vehicle cannot keep inside of several polygons at once"
         raise InputError(f"{where}.type", "MultiPolygon", rule, "Keep one polygon of it.")
     where += ".coordinates"
     for point in points:
-        zones.add(name, where, inside, (point.y, point.x), radius_m=said.radius_m)
+        zones.add(name, where, inside, (point.y, point.x), radius_m=properties.radius_m)
     for number, polygon in enumerate(polygons, start=1):
         of_several = name if len(polygons) == 1 else f"{name} part {number}"
         zones.add(of_several, where, inside, *_corners(polygon.exterior))

@@ -124,7 +124,7 @@ def flight_status(flown: FlightSummary) -> FlightStatus:
     here, now_s = vehicle.position_nea_m, clock.going_on_s
     reason, remedy = _reason(state)
     warned_at_s, warning = session.warned
-    said_at_s, said = (-math.inf, "") if autopilot is None else autopilot.said
+    said_at_s, said = (-math.inf, "") if autopilot is None else autopilot.last_text
     looked_m = _LOOKS * task.settings.scan_range_m
     latitude = longitude = above_m = clear_m = None
     if here is not None:

@@ -235,7 +235,7 @@ def plane_told_its_speed() -> tuple[AutopilotClient, Any]:
     """An ArduPlane in guided mode, and the command, whose first frame may have been lost."""
     mission = load_mission("sitl-arduplane")
     context = Context(mission=mission, seed=1, lockstep=True, shadow=True)
-    side = AutopilotClient.found(beat(), context)
+    side = AutopilotClient.of(beat(), context)
     side.streams.begin(0.0)
     state = State.of(mission, checkpoint.blank_map(mission))
     [told] = side.command_messages(SetSpeed(speed_m_s=22.0), state) or [None]
@@ -311,7 +311,7 @@ def test_a_fifth_autopilot_is_one_value(monkeypatch: pytest.MonkeyPatch) -> None
     heartbeat = over_the_wire(wire.MAVLink_heartbeat_message(*of))
     mission = replace(WATCHING.mission, autopilot=None)
     context = Context(mission=mission, seed=1, lockstep=True, shadow=True)
-    side: Any = AutopilotClient.found(heartbeat, context)
+    side: Any = AutopilotClient.of(heartbeat, context)
     assert side.autopilot is FIFTH is autopilots.named("fifth", "copter")
     assert side.event_of(heartbeat, 1.0).mode is Mode.GUIDED
     altitude = over_the_wire(wire.MAVLink_altitude_message(0, *[0.0] * 6))

@@ -89,7 +89,7 @@ def test_each_rule_can_be_read_and_refuses_what_is_missing_only_if_it_is_essenti
     names = [name for rule in TABLES[way] for name in rule.names]
     assert len(names) == len(set(names))
     assert all(0 < len(name) <= 16 and name.isascii() for name in names)
-    usual = {rule.name for rule in TABLES[way] if rule.found(DEFAULTS[way]) is None}
+    usual = {rule.name for rule in TABLES[way] if rule.reading(DEFAULTS[way]) is None}
     unread = {f"PRX1_IGN_WID{k}" for k in range(1, 5)}  # not in the simulator's table
     assert usual <= {"ARMING_SKIPCHK", *unread}  # only newer ones have the former
     for rule in TABLES[way]:

@@ -21,13 +21,21 @@ FIRMWARES = tuple(dict.fromkeys(autopilot.firmware for autopilot in ALL))
 def autopilot_of(heartbeat: Message) -> Autopilot | None:
     """The strategy for the sender of this; None: not supported (VTOL, rover, ...)."""
     wanted = heartbeat.autopilot, KINDS.get(heartbeat.type)
-    ways = (each for each in ALL if (each.firmware.number, each.traits.kind) == wanted)
+    ways = (
+        autopilot
+        for autopilot in ALL
+        if (autopilot.firmware.number, autopilot.traits.kind) == wanted
+    )
     return next(ways, None)
 
 
 def named(firmware: str, kind: str) -> Autopilot:
     """The strategy for a mission's `autopilot` and `kind`."""
-    return next(each for each in ALL if (each.firmware.name, each.traits.kind) == (firmware, kind))
+    return next(
+        autopilot
+        for autopilot in ALL
+        if (autopilot.firmware.name, autopilot.traits.kind) == (firmware, kind)
+    )
 
 
 def described(heartbeat: Message) -> str:
@@ -36,4 +44,6 @@ def described(heartbeat: Message) -> str:
     if autopilot is not None:
         return autopilot.name
     both = {"MAV_AUTOPILOT": heartbeat.autopilot, "MAV_TYPE": heartbeat.type}
-    return ", ".join(enum_word(*each).lower() or f"{each[0]} {each[1]}" for each in both.items())
+    return ", ".join(
+        enum_word(*entry).lower() or f"{entry[0]} {entry[1]}" for entry in both.items()
+    )

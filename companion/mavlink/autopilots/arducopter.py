@@ -49,8 +49,8 @@ _GUIDED_OPTIONS: Final = rules.when(
 def _by_its_own_lidar(mission: Mission) -> bool:
     """Whether the sensor of near things is one of the autopilot."""
     near = mission.near
-    told = None if near is None else (near.component_id, near.kind)
-    return told == (AUTOPILOT_COMPONENT, "distance_sensor")
+    source = None if near is None else (near.component_id, near.kind)
+    return source == (AUTOPILOT_COMPONENT, "distance_sensor")
 
 
 _TURNING_LIDARS: Final = (5, 8, 15)

@@ -50,7 +50,7 @@ def streams_hz(echo: int, echo_hz: float) -> Mapping[int, float]:
 
 def names_of(enum: str) -> Mapping[tuple[int, ...], str]:
     """Names of modes as in the dialect; enum: COPTER_MODE or PLANE_MODE."""
-    numbers = [number for number, each in wire.enums[enum].items() if "ENUM_END" not in each.name]
+    numbers = [number for number, entry in wire.enums[enum].items() if "ENUM_END" not in entry.name]
     return {(number,): enum_word(enum, number).replace("_", " ") for number in numbers}
 
 
@@ -72,9 +72,9 @@ def local_echo(
     latitude, longitude = frame.to_geodetic_deg(origin_nea_m[0], origin_nea_m[1])
     place = _offset_deg((latitude, longitude), message.x, message.y)
     velocity = (message.vx, message.vy, -message.vz)
-    told = message.type_mask & _NO_VELOCITY == 0 and all(map(math.isfinite, velocity))
+    has_velocity = message.type_mask & _NO_VELOCITY == 0 and all(map(math.isfinite, velocity))
     altitude_m = origin_nea_m[2] - message.z
-    return echo_at(place, altitude_m, now_s, frame, velocity if told else None)
+    return echo_at(place, altitude_m, now_s, frame, velocity if has_velocity else None)
 
 
 def _offset_deg(

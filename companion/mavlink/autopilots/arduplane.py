@@ -69,8 +69,8 @@ def _echo(message: Message, now_s: float, frame: LocalFrame, *_: object) -> Echo
 def _refuses_setpoint(message: Message) -> bool:
     """An ACK of DO_REPOSITION other than ACCEPTED: not in GUIDED, or outside of its fence."""
     is_ack = message.get_type() == "COMMAND_ACK"
-    ours = is_ack and message.command == wire.MAV_CMD_DO_REPOSITION
-    return bool(ours and message.result != wire.MAV_RESULT_ACCEPTED)
+    is_setpoint_ack = is_ack and message.command == wire.MAV_CMD_DO_REPOSITION
+    return bool(is_setpoint_ack and message.result != wire.MAV_RESULT_ACCEPTED)
 
 
 def _take_off_height(value: float, case: Case) -> Finding | None:

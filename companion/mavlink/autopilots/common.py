@@ -45,7 +45,7 @@ class Modes:
     def mode_of(self, custom_mode: int) -> events.Mode:
         """The mode that a heartbeat reports."""
         numbers = self.numbers(custom_mode)
-        asked = (mode for mode, each in self.asked.items() if each == numbers)
+        asked = (mode for mode, its_numbers in self.asked.items() if its_numbers == numbers)
         return self.also.get(numbers) or next(asked, events.Mode.OTHER)
 
     def name_of(self, custom_mode: int) -> str:
