@@ -76,10 +76,10 @@ def started_view(folder: Path, port: int, console: Console) -> Iterator[None]:
         assert process.stdin is not None
         assert process.stdout is not None
         try:
-            said = process.stdout.readline()
-            if not said:
+            line = process.stdout.readline()
+            if not line:
                 raise InputError("--view", True, "it did not start", "Look above for the reason.")
-            console.print(said.rstrip(), highlight=False, soft_wrap=True, markup=False)
+            console.print(line.rstrip(), highlight=False, soft_wrap=True, markup=False)
             yield
         finally:
             process.stdin.close()

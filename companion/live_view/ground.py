@@ -125,20 +125,20 @@ class Replica:
             yield False  # it has not begun yet
         feeder, inputs = Feeder(flown_mission(self._folder)), InputsFile(file)
         while True:
-            told = list(islice(inputs, _STEPS))
-            for each in told:
-                feeder.take(each)
-                if each[0] != "start" and each[0] not in RUNTIME_RECORDS:
+            calls = list(islice(inputs, _STEPS))
+            for call in calls:
+                feeder.take(call)
+                if call[0] != "start" and call[0] not in RUNTIME_RECORDS:
                     self._note(feeder.session)
-            yield bool(told)
+            yield bool(calls)
 
     def _note(self, session: Session) -> None:
         """Keep what is known, if that is new."""
         (boot, before_s), state = self.now, session.state
         self.now = boot + (session.now_s < before_s - _BEGUN_AGAIN_S), session.now_s
-        known, here = state.flight.known, state.vehicle.position_nea_m
+        known, position = state.flight.known, state.vehicle.position_nea_m
         if known is not self._known:
             self._known = known
             alone = replace(known, given=None, guess_m=None)  # these are always the same
-            now = alone, (0.0, 0.0) if here is None else here[:2]
+            now = alone, (0.0, 0.0) if position is None else position[:2]
             self._maps.append((*self.now, zlib.compress(pickle.dumps(now), 1)))

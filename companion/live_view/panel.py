@@ -51,13 +51,13 @@ def status_html(
     flight, track = recording.flight, recording.flight.track
     [decided] = flight.decided_at(np.array([time_s]))
     row = flight.row_at(time_s)
-    here = flight.places_nea_m[row]
-    north_m, east_m, altitude_m = here.tolist()
+    place = flight.places_nea_m[row]
+    north_m, east_m, altitude_m = place.tolist()
     above_m = away_m = math.nan
     if known is not None:
-        above_m = altitude_m - float(under_m(known, here[None, :2])[0])
+        above_m = altitude_m - float(under_m(known, place[None, :2])[0])
         most_m = _MOST_APART * known.cell_m
-        away_m = distance_to_terrain_m(known, here, most_m, seen_only=True)
+        away_m = distance_to_terrain_m(known, place, most_m, seen_only=True)
         away_m = math.nan if away_m >= most_m else away_m
     speed_m_s = math.hypot(float(track.north_m_s[row]), float(track.east_m_s[row]))
     rows = {

@@ -71,8 +71,8 @@ class Recording:
             more = True
         if more:
             flight.settle()
-            said = ((time_s, entry_words(entry)) for time_s, entry in flight.entries)
-            self.events = [Event(time_s, words[0]) for time_s, words in said if words is not None]
+            worded = ((time_s, entry_words(entry)) for time_s, entry in flight.entries)
+            self.events = [Event(time_s, words[0]) for time_s, words in worded if words is not None]
 
     @property
     def ends_s(self) -> float:

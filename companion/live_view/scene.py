@@ -83,7 +83,7 @@ class Scene:
         flight = self._flight
         row, [decided] = flight.row_at(time_s), flight.decided_at(np.array([time_s]))
         with self._server.atomic():
-            here = self._show_vehicle(row)
+            place = self._show_vehicle(row)
             if decided is not self._decided:
                 self._decided = decided
                 self._group("/decided")
@@ -92,7 +92,7 @@ class Scene:
                 self._draw_subpaths(decided)
                 if decided.asked is not None:
                     self._draw_asked(decided.asked, decided.ready)
-        return here
+        return place
 
     def show_ground(self, ground: Ground) -> None:
         """Draw the terrain as it is known."""
@@ -110,17 +110,17 @@ class Scene:
 
     def _show_vehicle(self, row: int) -> FloatArray:
         """The vehicle, its track, and what its lidar sees; where it is in the scene.  -> (3,)."""
-        flight, here = self._flight, self.area.scene(self._flight.places_nea_m[row])
+        flight, place = self._flight, self.area.scene(self._flight.places_nea_m[row])
         turn = math.pi / 2.0 - flight.heading_rad(row)  # clockwise from north -> from x
         self._vehicle.wxyz = (math.cos(turn / 2), 0.0, 0.0, math.sin(turn / 2))
-        self._vehicle.position = here
-        self._drop.points = np.array([[here, [*here[:2], 0.0]]], dtype=np.float32)
+        self._vehicle.position = place
+        self._drop.points = np.array([[place, [*place[:2], 0.0]]], dtype=np.float32)
         rows = np.unique(np.linspace(0, row, min(row + 1, _TRACK_POINTS)).astype(np.intp))
         track = shapes.segments(flight.places_nea_m[rows])
         for lines, pieces_nea_m in ((self._track, track), (self._beams, self._beams_nea_m(row))):
             pieces = self.area.scene(pieces_nea_m) if len(pieces_nea_m) else _NOTHING
             lines.points = pieces.astype(np.float32)
-        return here
+        return place
 
     def _beams_nea_m(self, row: int) -> FloatArray:
         """What a lidar passed over just now: lines from the vehicle.  -> (K, 2, 3)."""
@@ -128,11 +128,11 @@ class Scene:
         if message is None:
             return np.zeros((0, 2, 3))
         reach_m = np.minimum(message.distances, message.max_distance) / 100.0  # centimetres
-        told = np.array(message.distances) != _NOT_TOLD
-        steps_deg = np.arange(len(told)) * (message.increment_f or message.increment)
+        is_told = np.array(message.distances) != _NOT_TOLD
+        steps_deg = np.arange(len(is_told)) * (message.increment_f or message.increment)
         bearings = np.radians(message.angle_offset + steps_deg) + self._flight.heading_rad(row)
         rim = np.stack([np.cos(bearings), np.sin(bearings), 0.0 * bearings], -1) * reach_m[:, None]
-        return self._flight.places_nea_m[row] + np.stack([0.0 * rim, rim], axis=1)[told]
+        return self._flight.places_nea_m[row] + np.stack([0.0 * rim, rim], axis=1)[is_told]
 
     def _draw_threats(self, zones: tuple[Zone, ...]) -> None:
         """Of radars the spheres in which they see, of zones the walls, up to the ceiling."""
@@ -155,7 +155,9 @@ class Scene:
         high_m = 0.14 * self.area.width_m / self.area.stretch
         for number, target_ne_m in enumerate(targets_ne_m, 1):
             name = f"/decided/target_{number}"
-            pole = np.array([(*target_ne_m, self.area.low_m + each) for each in (0.0, high_m)])
+            pole = np.array(
+                [(*target_ne_m, self.area.low_m + above_m) for above_m in (0.0, high_m)]
+            )
             self._curve(name, pole, _KEEP_OUT, 3.0)
             text = "target" if len(targets_ne_m) == 1 else f"target {number}"
             self._point(f"{name}/head", pole[1], 0.8, _KEEP_OUT, text)

@@ -94,7 +94,7 @@ class Area(NamedTuple):
         """A round length: some ten of them across the map."""
         about_m = self.width_m / 10.0
         power = 10.0 ** math.floor(math.log10(about_m))
-        return max(each * power for each in (1.0, 2.0, 5.0) if each * power <= about_m)
+        return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= about_m)
 
 
 # --- the ground
@@ -117,8 +117,8 @@ def cells_mesh(ground: Ground, area: Area, kind: int) -> Mesh:
     drawn = ground.kind == kind
     height = np.pad(np.where(drawn, ground.height_m, 0.0).astype(np.float64), 1)
     total, number = (
-        each[:-1, :-1] + each[1:, :-1] + each[:-1, 1:] + each[1:, 1:]
-        for each in (height, np.pad(drawn.astype(np.float64), 1))
+        grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]
+        for grid in (height, np.pad(drawn.astype(np.float64), 1))
     )
     corners = np.arange(total.size).reshape(total.shape)
     sw, se = corners[:-1, :-1][drawn], corners[:-1, 1:][drawn]

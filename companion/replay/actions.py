@@ -53,8 +53,8 @@ def same_log(
         remedy = "Give the run folder, or --mission, or --shadow for another's flight."
         raise InputError("RUN_DIR|LOG", str(path), rule, remedy)
     _load_planner()
-    flown, here = load_mission(mission, profile), version("companion")
-    replay, log = replay_of_log(path, flown, seed=seed, version=here, system_id=system)
+    flown, own_version = load_mission(mission, profile), version("companion")
+    replay, log = replay_of_log(path, flown, seed=seed, version=own_version, system_id=system)
     _compare(replay, path, json_file, lambda: log.findings)
 
 
@@ -65,27 +65,29 @@ def _compare(
     findings: Callable[[], Iterable[str]] = tuple,
 ) -> None:
     """findings: what was odd about a log, once it is read."""
-    console, found = plain_console(soft_wrap=True, highlight=False), replay.found
+    console, replayed = plain_console(soft_wrap=True, highlight=False), replay.found
     with plain_console(stderr=True).status("replaying") as status, prompt_threads():
         for _ in replay.steps():
-            if found.inputs % _SHOWN_EVERY == 0:
-                status.update(f"replaying {found.now_s:,.0f} s")
+            if replayed.inputs % _SHOWN_EVERY == 0:
+                status.update(f"replaying {replayed.now_s:,.0f} s")
     for finding in findings():
         console.print(f"note: {finding}")
-    differs = found.difference is not None
-    if found.frames + found.entries or differs:
-        console.print(str(found))
-        _write({"identical": found.is_identical, **asdict(found)}, json_file)
-    elif not found.damaged:  # nothing is not the same as something
+    differs = replayed.difference is not None
+    if replayed.frames + replayed.entries or differs:
+        console.print(str(replayed))
+        _write({"identical": replayed.is_identical, **asdict(replayed)}, json_file)
+    elif not replayed.damaged:  # nothing is not the same as something
         rule = "it holds nothing to compare a replay with"
         remedy = "Give the recording of a flight, whole."
         raise InputError("RUN_DIR|LOG", str(flight), rule, remedy)
-    if found.damaged and not differs:
-        rule = f"what was recorded is damaged ({found.damaged})"
+    if replayed.damaged and not differs:
+        rule = f"what was recorded is damaged ({replayed.damaged})"
         raise InputError("RUN_DIR", str(flight), rule, "Give a copy of it that is whole.")
-    if not found.is_identical:
-        flew, here = found.flown_by, version("companion")
-        remedy = f"Companion {flew} flew, and this is {here}: another one may decide otherwise."
+    if not replayed.is_identical:
+        flew, own_version = replayed.flown_by, version("companion")
+        remedy = (
+            f"Companion {flew} flew, and this is {own_version}: another one may decide otherwise."
+        )
         raise FlightFailed("the replay did not decide as the flight did", remedy if flew else "")
 
 
@@ -97,15 +99,15 @@ def changed(
     if not folder.is_dir():
         rule = "a log does not hold the states to plan from"
         raise InputError("RUN_DIR|LOG", str(folder), rule, "Give the run folder of the flight.")
-    found, flown = [], flown_mission(folder)
+    plans, flown = [], flown_mission(folder)
     other = load_mission(str(folder / "mission.toml"), profile, settings)
     _load_planner()
     with plain_console(stderr=True).status("planning again") as status:
-        for each in what_if(folder, flown, other, seed=seed):
-            found.append(each)
-            status.update(f"planned again: {len(found)}")
-    console.print(what_if_table(found))
-    _write(found, json_file)
+        for replanned in what_if(folder, flown, other, seed=seed):
+            plans.append(replanned)
+            status.update(f"planned again: {len(plans)}")
+    console.print(what_if_table(plans))
+    _write(plans, json_file)
 
 
 def shadow(flight: Path, mission: str | None, system: int | None, json_file: Path | None) -> None:
@@ -123,8 +125,8 @@ def shadow(flight: Path, mission: str | None, system: int | None, json_file: Pat
                 status.update(f"watching {at_s:,.0f} s")
 
         report = watch(flight, chosen, system_id=system, on_output=show)
-    for each in renderables(report):
-        console.print(each)
+    for part in renderables(report):
+        console.print(part)
     _write(report, json_file)
 
 

@@ -90,11 +90,14 @@ def replay_command(
 
 def _refuse_others(context: typer.Context, way: str) -> None:
     """No option is passed over silently."""
-    for each in context.command.params:
-        source, option = context.get_parameter_source(each.name or ""), max(each.opts, key=len)
+    for parameter in context.command.params:
+        source, option = (
+            context.get_parameter_source(parameter.name or ""),
+            max(parameter.opts, key=len),
+        )
         given = source is not None and source.name == "COMMANDLINE"
-        if given and each.param_type_name == "option" and option not in _TAKES[way]:
-            value, takes = context.params[each.name or ""], ", ".join(_TAKES[way])
+        if given and parameter.param_type_name == "option" and option not in _TAKES[way]:
+            value, takes = context.params[parameter.name or ""], ", ".join(_TAKES[way])
             shown = value if type(value) is bool else str(value)
             raise InputError(
                 option, shown, f"{way} does not take it", f"Leave it out. It takes {takes}."
@@ -131,9 +134,9 @@ def export(
     file = out_file(out or run_dir / f"flight.{to}", run_dir)
     flight, notes = recorded(run_dir)
     write(flight, to, file)
-    said = f"{len(flight.track)} positions, {len(flight.planned)} subpaths, "
-    said += f"{len(flight.moments)} holds and events: {file}"
-    for line in [*(f"note: {note}" for note in notes), said]:
+    summary = f"{len(flight.track)} positions, {len(flight.planned)} subpaths, "
+    summary += f"{len(flight.moments)} holds and events: {file}"
+    for line in [*(f"note: {note}" for note in notes), summary]:
         plain_console().out(line, highlight=False)
 
 

@@ -128,7 +128,7 @@ class Replayed(Struct, kw_only=True):
             (self.entries and not self.frames, "no frame was compared: flight.tlog holds none"),
             (self.starts > 1, f"the companion was started {self.starts} times"),
             *((True, f"the recording had stopped {stop}") for stop in self.stops),
-            *((True, f"plans differ, the first at {each}") for each in self.plans_differ[:1]),
+            *((True, f"plans differ, the first at {first}") for first in self.plans_differ[:1]),
             (self.of_no_input, f"{self.of_no_input} frames and entries are of no recorded input"),
             (self.unrecorded, f"{self.unrecorded} frames and entries came after its end"),
             (self.ended_by, f"the flight ended with an error of the companion's: {self.ended_by}"),
@@ -170,65 +170,66 @@ class Replay:
 
     def steps(self) -> Iterator[None]:
         """Replay, input by input, until the first difference or the end."""
-        began_s, found = time.perf_counter(), self.found
+        began_s, replayed = time.perf_counter(), self.found
         try:
-            for told, *remarks in _turns(self._inputs):
-                found.inputs += 1 + len(remarks)
-                output, error = self._feed(told)
+            for call, *remarks in _turns(self._inputs):
+                replayed.inputs += 1 + len(remarks)
+                output, error = self._feed(call)
                 if not self._is_lost:
-                    self._compare(told[0], output, error, remarks)
-                found.took_s = time.perf_counter() - began_s
-                if found.difference is not None:
+                    self._compare(call[0], output, error, remarks)
+                replayed.took_s = time.perf_counter() - began_s
+                if replayed.difference is not None:
                     break
                 yield
             else:
                 self._recorded.end()
         except DamagedInputError as error:
-            found.damaged = str(error)
+            replayed.damaged = str(error)
         self._go_on()
 
-    def _feed(self, told: Input) -> tuple[Output | None, Exception | None]:
+    def _feed(self, call: Input) -> tuple[Output | None, Exception | None]:
         """Feed one input; what the session gave and what it raised."""
-        found, feeder, raised = self.found, self._feeder, None
-        if told[0] == "start":
-            self._begin(start_of(told))
-        elif told[0] == "deliver":
-            self._compare_plan(answer_of(told))
+        replayed, feeder, raised = self.found, self._feeder, None
+        if call[0] == "start":
+            self._begin(start_of(call))
+        elif call[0] == "deliver":
+            self._compare_plan(answer_of(call))
         try:
-            output = feeder.take(told)
+            output = feeder.take(call)
         except (DamagedInputError, InputError):
             raise
         except Exception as error:  # noqa: BLE001 - the session's own: the flight's end, perhaps
-            if told[0] == "start":
+            if call[0] == "start":
                 return None, error
             raised, output = error, feeder.session.take_output()
         session = feeder.session
-        found.now_s, found.flown_s = session.now_s, self._flown_before_s + session.clock.passed_s
+        replayed.now_s = session.now_s
+        replayed.flown_s = self._flown_before_s + session.clock.passed_s
         if output is not None and output.plan is not None:
             self._asked[output.plan.plan_id] = output.plan
-        self._look_for_a_gap(told, session)
+        self._look_for_a_gap(call, session)
         return output, raised
 
     def _begin(self, start: Start) -> None:
         """A companion begins: what it begins with is recorded whole."""
         self._recorded.begin()
         self._asked.clear()
-        found, self._is_lost = self.found, False
-        found.starts += 1
-        found.flown_by, self._flown_before_s = start.companion, found.flown_s
+        replayed, self._is_lost = self.found, False
+        replayed.starts += 1
+        replayed.flown_by, self._flown_before_s = start.companion, replayed.flown_s
 
-    def _look_for_a_gap(self, told: Input, session: Session) -> None:
+    def _look_for_a_gap(self, call: Input, session: Session) -> None:
         """Note from when to when nothing is known, once the recording had stopped."""
-        found, now_s = self.found, session.now_s
-        if (why := why_not_recorded(told)) is not None:
+        replayed, now_s = self.found, session.now_s
+        if (why := why_not_recorded(call)) is not None:
             self._go_on()
-            self._stop = f"at t {now_s:.1f} s ({why})", found.starts
+            self._stop = f"at t {now_s:.1f} s ({why})", replayed.starts
         elif self._stop and session.clock.is_known and abs(now_s - self._known_s) > _LEAP_S:
             (where, start), self._stop = self._stop, None
             unknown = f"nothing is known from t {self._known_s:.1f} s to t {now_s:.1f} s"
-            found.stops.append(f"{where}: {unknown}")
-            self._is_lost = start == found.starts
-        if told[0] == "silence":
+            replayed.stops.append(f"{where}: {unknown}")
+            self._is_lost = start == replayed.starts
+        if call[0] == "silence":
             self._known_s = math.nan
         elif session.clock.is_known:
             self._known_s = now_s
@@ -245,29 +246,33 @@ class Replay:
 
         If the flight ended with an error here, the replay must, too.
         """
-        found, said = self.found, [(each[0], arguments_of(each)) for each in remarks]
+        replayed, remarked = self.found, [(remark[0], arguments_of(remark)) for remark in remarks]
         if output is not None:
             there = range(len(output.frames))  # else it has sent fewer: that differs
-            unsent = (k for name, of in said if name == "unsent" for k in of[0] if k in there)
+            unsent = (k for name, of in remarked if name == "unsent" for k in of[0] if k in there)
             output.leave_out(unsent)
             self._recorded.compare(output)
-        for frames in (of[0] for name, of in said if name == "held"):
+        for frames in (of[0] for name, of in remarked if name == "held"):
             self._recorded.pass_over(frames)
-        was = next((of for name, of in said if name == "raised"), (call, ""))
+        was = next((of for name, of in remarked if name == "raised"), (call, ""))
         now = call, "" if error is None else f"{type(error).__name__}: {error}"
         place = "" if error is None else f"{now[1]} ({_place_of(error)})"
-        found.ended_by = (place if was == now else was[1]) or found.ended_by
-        if was != now and (error is not None or was[0] in SESSION_CALLS) and not found.difference:
-            told = was[1] or NOTHING, place or NOTHING
-            found.difference = Difference(found.now_s, was[0] or "flight", "error", *told)
+        replayed.ended_by = (place if was == now else was[1]) or replayed.ended_by
+        if (
+            was != now
+            and (error is not None or was[0] in SESSION_CALLS)
+            and not replayed.difference
+        ):
+            both = was[1] or NOTHING, place or NOTHING
+            replayed.difference = Difference(replayed.now_s, was[0] or "flight", "error", *both)
 
     def _compare_plan(self, answer: PlanOutcome) -> None:
         """Compute a plan again, only to compare it."""
-        found, request = self.found, self._asked.pop(answer.plan_id, None)
-        found.plans += 1
+        replayed, request = self.found, self._asked.pop(answer.plan_id, None)
+        replayed.plans += 1
         if request is None or self._is_lost or not self._plans:
             return
-        found.plans_computed += 1
+        replayed.plans_computed += 1
         was, kernel = values_of(answer), kernels.signature()
         recorded_by = str(was.pop("kernel", kernel))
         patience, asked = getattr(answer, "stopped_after", None), count(1)
@@ -282,18 +287,18 @@ class Replay:
             return
         if recorded_by != kernel:
             what += f" ({recorded_by}, now {kernel})"
-            found.plans_excused += 1
-        found.plans_differ.append(Difference(found.now_s, what, *place))
+            replayed.plans_excused += 1
+        replayed.plans_differ.append(Difference(replayed.now_s, what, *place))
 
 
 def _turns(inputs: Iterable[Input]) -> Iterator[list[Input]]:
     """Each input of a session, and what the runtime then remarked about it."""
     turn: list[Input] = []
-    for each in inputs:
-        if turn and each[0] not in RUNTIME_RECORDS:
+    for call in inputs:
+        if turn and call[0] not in RUNTIME_RECORDS:
             yield turn
             turn = []
-        turn.append(each)
+        turn.append(call)
     if turn:
         yield turn
 
@@ -342,7 +347,7 @@ class Recorded:
         """Compare the output of one run with the next records."""
         frames = starmap(self._frame_differs, output.record)
         entries = () if self._alone else map(self._entry_differs, output.journal)
-        self.found.difference = next((each for each in chain(frames, entries) if each), None)
+        self.found.difference = next(filter(None, chain(frames, entries)), None)
 
     def pass_over(self, frames: int) -> None:
         """Skip what the watchdog sent: so many frames, and one entry."""
@@ -351,9 +356,9 @@ class Recorded:
 
     def end(self) -> None:
         """The replay is over: a companion in a log may have sent no more than it did."""
-        found, left = self.found, next(self._frames, None) if self._alone else None
+        replayed, left = self.found, next(self._frames, None) if self._alone else None
         if left is not None:
-            found.difference = frames_differ(found.now_s, left.frame, None)
+            replayed.difference = frames_differ(replayed.now_s, left.frame, None)
 
     def _next_line(self) -> bytes | None:
         """The next entry of this companion."""
@@ -411,13 +416,13 @@ def replay_of_folder(folder: Path, mission_of: MissionOf, *, plans: bool = True)
     return Replay(_to_the_end(inputs, recorded.found), recorded, mission_of, plans=plans)
 
 
-def _to_the_end(inputs: InputsFile, found: Replayed) -> Iterator[Input]:
+def _to_the_end(inputs: InputsFile, replayed: Replayed) -> Iterator[Input]:
     """All of them, and why they end there.  DamagedInputError: what follows are none."""
     yield from inputs
     torn = f"{inputs.torn_bytes:,} bytes"
     if inputs.is_damaged:
         raise DamagedInputError(f"{torn} that are no inputs")
-    found.torn = f"{torn} of a record that is not whole" if inputs.torn_bytes else ""
+    replayed.torn = f"{torn} of a record that is not whole" if inputs.torn_bytes else ""
 
 
 def _frames_of(tlog: Path) -> Iterator[Record]:
@@ -443,7 +448,7 @@ def replay_of_log(
     flown = replace(mission, system_id=log.system_id or mission.system_id)
     session = Session(flown, seed=seed, lockstep=True, version=version)
     again = open_log(path, system_id=log.system_id).records()
-    sent = (each for each in again if _is_of_companion(each.frame))
+    sent = (record for record in again if _is_of_companion(record.frame))
     if (first := next(sent, None)) is None:
         rule = "nothing in it was sent by a companion: there is nothing to compare with"
         remedy = "Give --shadow to see what it would have done."
@@ -454,16 +459,16 @@ def replay_of_log(
     return Replay(inputs, recorded, lambda _: mission, asked=asked), log
 
 
-def _inputs_of(log: Log, asked: dict[int, PlanRequest], found: Replayed) -> Iterator[Input]:
+def _inputs_of(log: Log, asked: dict[int, PlanRequest], replayed: Replayed) -> Iterator[Input]:
     """Each frame of others by itself, and at once the answer to what was asked."""
-    found.flown_by = ""
+    replayed.flown_by = ""
     for record in log.records():
         if _is_of_companion(record.frame):
             continue
         yield "receive", record.frame, record.time_us * 1e-6
         yield ("run",)
         while asked:
-            found.plans_computed += 1
+            replayed.plans_computed += 1
             yield "deliver", values_of(plan(asked.popitem()[1]))
             yield ("run",)
     yield ("farewell",)

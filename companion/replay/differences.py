@@ -61,8 +61,8 @@ def values_differ(was: Any, now: Any, path: str = "") -> tuple[str, Any, Any] | 
             parts = [(f"[{k}]", *both) for k, both in enumerate(zip(was, now, strict=True))]
         case _:  # a NaN is the same as another
             return None if was == now or repr(was) == repr(now) else (path, was, now)
-    found = (values_differ(old, new, (path + at).removeprefix(".")) for at, old, new in parts)
-    return next((each for each in found if each is not None), None)
+    differences = (values_differ(old, new, (path + at).removeprefix(".")) for at, old, new in parts)
+    return next((difference for difference in differences if difference is not None), None)
 
 
 def message_of(frame: bytes) -> Message | None:

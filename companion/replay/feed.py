@@ -70,23 +70,23 @@ class Feeder:
             raise DamagedInputError("nothing before any start")
         return self._session
 
-    def take(self, told: Input) -> Output | None:
+    def take(self, call: Input) -> Output | None:
         """Take the next input; what the session gave, if it was a run.
 
         DamagedInputError: it is not a valid input.  Errors of the session are passed on.
         """
-        if told[0] == "start":
+        if call[0] == "start":
             self._session = None
-            self._session = _session_of(start_of(told), self._mission_of)
+            self._session = _session_of(start_of(call), self._mission_of)
             return None
-        if (why := why_not_recorded(told)) is not None:
-            told = "complain", f"{_NOT_RECORDED}{why}"
-        session, arguments = self.session, arguments_of(told)
-        if told[0] in RUNTIME_RECORDS:
+        if (why := why_not_recorded(call)) is not None:
+            call = "complain", f"{_NOT_RECORDED}{why}"
+        session, arguments = self.session, arguments_of(call)
+        if call[0] in RUNTIME_RECORDS:
             return None
-        if told[0] == "deliver":
-            arguments = (answer_of(told),)
-        output = getattr(session, told[0])(*arguments)
+        if call[0] == "deliver":
+            arguments = (answer_of(call),)
+        output = getattr(session, call[0])(*arguments)
         return output if isinstance(output, Output) else None
 
 
@@ -97,14 +97,14 @@ def outputs(folder: Path, mission_of: MissionOf) -> Iterator[tuple[Input, Sessio
     has no inputs, or of another version.
     """
     feeder = Feeder(mission_of)
-    for told in InputsFile(folder / FILE):
+    for call in InputsFile(folder / FILE):
         try:
-            output = feeder.take(told)
+            output = feeder.take(call)
         except InputError:
             raise
         except Exception:  # noqa: BLE001 - damage, or the session's own error: the flight's end
             return
-        yield told, feeder.session, output
+        yield call, feeder.session, output
 
 
 def flown_mission(folder: Path) -> MissionOf:
@@ -130,9 +130,9 @@ def flown_mission(folder: Path) -> MissionOf:
     return mission_of
 
 
-def arguments_of(told: Input) -> tuple[Any, ...]:
+def arguments_of(recorded: Input) -> tuple[Any, ...]:
     """The arguments of a call, or what a remark says.  DamagedInputError: it is neither."""
-    call, *given = told
+    call, *given = recorded
     try:
         arguments: tuple[Any, ...] = msgspec.convert(given, (_CALLS | _REMARKS).get(call))
     except msgspec.ValidationError as error:
@@ -140,12 +140,12 @@ def arguments_of(told: Input) -> tuple[Any, ...]:
     return arguments
 
 
-def why_not_recorded(told: Input) -> str | None:
+def why_not_recorded(call: Input) -> str | None:
     """Why the recording had stopped, if this input says so: the disk failed, or stood still.
 
     It was an input of its own in builds before 0.3.0.
     """
-    match told:
+    match call:
         case "recording_stopped", str(why):
             return why
         case "complain", str(text) if text.startswith(_NOT_RECORDED):
@@ -154,10 +154,10 @@ def why_not_recorded(told: Input) -> str | None:
             return None
 
 
-def start_of(told: Input) -> Start:
+def start_of(call: Input) -> Start:
     """What a session was made of, of a recorded input.  DamagedInputError: it is none."""
     try:
-        start = msgspec.convert(told[1], Start)
+        start = msgspec.convert(call[1], Start)
         msgspec.convert((start.resume or {}).get("system_id"), SystemId | None)
     except (IndexError, msgspec.ValidationError) as error:
         raise DamagedInputError(f"a start that is none ({error})") from error
@@ -166,10 +166,10 @@ def start_of(told: Input) -> Start:
     return start
 
 
-def answer_of(told: Input) -> PlanOutcome:
+def answer_of(call: Input) -> PlanOutcome:
     """The answer of the planner that was delivered.  DamagedInputError: it is none."""
     try:
-        return outcome_of(told[1])
+        return outcome_of(call[1])
     except (IndexError, *checkpoint.DECODE_ERRORS) as error:
         raise DamagedInputError(f"an answer of the planner that is none ({error!r:.80})") from error
 

@@ -50,7 +50,7 @@ LISTENED: Final = frozenset(
         wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
         wire.MAVLINK_MSG_ID_PARAM_VALUE,
         wire.MAVLINK_MSG_ID_FENCE_STATUS,
-        *(each.all_is_well().get_msgId() for each in FIRMWARES),
+        *(firmware.all_is_well().get_msgId() for firmware in FIRMWARES),
     }
 )
 """Of the autopilot, besides the clocks.  Shadow mode needs neither battery nor setpoint echoes, and
@@ -143,9 +143,9 @@ def _look(log: Log) -> _Look:
         elif number == GPS:
             fix = message.fix_type >= wire.GPS_FIX_TYPE_3D_FIX
         elif number == POSITION and not believed and (fix or place is None):
-            here = deg(message.lat), deg(message.lon)
-            if _is_a_place(*here):
-                place, believed = here, fix
+            place_deg = deg(message.lat), deg(message.lon)
+            if _is_a_place(*place_deg):
+                place, believed = place_deg, fix
         if autopilot is not None and believed:
             break
     if heartbeat is None:
@@ -367,7 +367,7 @@ def _all_is_well(system_id: int, autopilot: Autopilot) -> dict[int, bytes]:
         0, wire.GPS_FIX_TYPE_3D_FIX, 0, 0, 0, 65535, 65535, 65535, 65535, 255
     )
     sure = autopilot.firmware.all_is_well()
-    return {each.get_msgId(): bytes(each.pack(codec)) for each in (fix, sure)}
+    return {message.get_msgId(): bytes(message.pack(codec)) for message in (fix, sure)}
 
 
 def _could_not(mission: Mission, watching: Watch, report: ShadowReport) -> Iterator[str]:

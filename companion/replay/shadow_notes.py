@@ -139,9 +139,11 @@ class Notes:
         report = self.report
         for asked in self._every:
             asked.attempt.off = TrackDeviation.of(asked.off_m)
-        report.own_path = TrackDeviation.of([each for asked in self._every for each in asked.off_m])
+        report.own_path = TrackDeviation.of(
+            [deviation for asked in self._every for deviation in asked.off_m]
+        )
         for seen in (report.health, report.outside):
-            seen.sort(key=lambda each: each.from_s)
+            seen.sort(key=lambda observed: observed.from_s)
 
     # --- what it would have done
 
@@ -235,25 +237,25 @@ class Notes:
     # --- what it has seen
 
     def _on_position(self, at_s: float, was_nea_m: Vector | None, state: State) -> None:
-        vehicle, here = state.vehicle, state.vehicle.position_nea_m
-        if here is None:  # it has rebooted
+        vehicle, position = state.vehicle, state.vehicle.position_nea_m
+        if position is None:  # it has rebooted
             return
         if was_nea_m is not None and vehicle.jumped_at_s == vehicle.position_at_s:
-            self._saw("position jumped", at_s, at_s, math.dist(was_nea_m, here))
+            self._saw("position jumped", at_s, at_s, math.dist(was_nea_m, position))
         in_air = is_in_air(vehicle)
         if not in_air:
             self._followed, self._outside = None, {}
         elif self._has_mission and vehicle.distrust is None:
-            self._outside = {kind: m for kind, m in _beyond_m(here, state).items() if m > 0.0}
+            self._outside = {kind: m for kind, m in _beyond_m(position, state).items() if m > 0.0}
             if state.phase is Phase.SHADOW and state.reason not in _DISTRUST:
-                self._compare(at_s, here, state)
+                self._compare(at_s, position, state)
 
-    def _compare(self, at_s: float, here: Vector, state: State) -> None:
+    def _compare(self, at_s: float, position: Vector, state: State) -> None:
         """Compare the flown track with the newest subpath, until the next one is followed."""
         if (leg := state.leg) is not None:
             self._followed = self._asked.get(leg.plan_id)
         if (asked := self._followed) is not None and asked.points is not None:
-            off_m, along_m = asked.points.nearest(here)
+            off_m, along_m = asked.points.nearest(position)
             asked.off_m.append((at_s, off_m))
             if leg is None and (asked.attempt.length_m or 0.0) - along_m < _AT_END_M:
                 self._followed = None
@@ -310,9 +312,9 @@ def is_in_air(vehicle: Vehicle) -> bool:
     return vehicle.landed is not Landed.ON_GROUND
 
 
-def _beyond_m(here: Vector, state: State) -> dict[str, float]:
+def _beyond_m(position: Vector, state: State) -> dict[str, float]:
     """By how much the vehicle is beyond each bound of the mission; negative: within."""
-    (north_m, east_m, altitude_m), limits = here, state.task.limits
+    (north_m, east_m, altitude_m), limits = position, state.task.limits
     (south, north), (west, east) = limits.north_m, limits.east_m
     beyond = {
         "outside the map": max(south - north_m, north_m - north, west - east_m, east_m - east),

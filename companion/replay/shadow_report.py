@@ -177,10 +177,10 @@ def renderables(report: ShadowReport) -> list[RenderableType]:
             ("let go", "why", "position good", "goes on", "the vehicle itself"),
             [_hold_row(hold, report) for hold in report.holds],
         ),
-        "health": (observed, [_observed_row(each) for each in report.health]),
+        "health": (observed, [_observed_row(span) for span in report.health]),
         "where the mission does not allow it to be": (
             observed,
-            [_observed_row(each) for each in report.outside],
+            [_observed_row(span) for span in report.outside],
         ),
         "where it would have planned": (
             ("at", "where", "why", "answer", "flown track off it, max / rms"),
@@ -225,13 +225,15 @@ def _hold_row(hold: Hold, report: ShadowReport) -> list[str]:
     _, *later = reasons.values()
     until_s = hold.let_go_s + _NEAR_S if hold.went_on_s is None else hold.went_on_s
     from_s = hold.let_go_s - _MOMENT_S
-    said = [str(each) for each in report.said if from_s <= each.at_s <= until_s] or ["nothing"]
+    reports = [str(reported) for reported in report.said if from_s <= reported.at_s <= until_s] or [
+        "nothing"
+    ]
     good, on = (
         "never" if at_s is None else f"{at_s:,.1f} s" for at_s in (hold.trusted_s, hold.went_on_s)
     )
     ground = "" if hold.in_air else "\n(on the ground)"
     why_text = "\n".join([first.text, *later, f"-> {first.remedy}"])
-    return [f"{hold.let_go_s:,.2f} s{ground}", why_text, good, on, "\n".join(said)]
+    return [f"{hold.let_go_s:,.2f} s{ground}", why_text, good, on, "\n".join(reports)]
 
 
 def _observed_row(seen: Observed) -> list[str]:
@@ -265,10 +267,10 @@ def _tail(report: ShadowReport) -> Iterator[str]:
             f"flown track off its own paths: {own.max_m:,.1f} m at most (at {own.max_at_s:,.1f} "
             f"s), {own.rms_m:,.1f} m rms, over {own.positions:,} positions"
         )
-    yield from (f"could not {each}" for each in report.could_not)
-    told = " ".join(report.could_not)
+    yield from (f"could not {reason}" for reason in report.could_not)
+    reasons = " ".join(report.could_not)
     for message, without in report.missing.items():
-        if message not in told:
+        if message not in reasons:
             yield f"{message} is missing: {without}. {HOW_TO_RECORD}"
     yield from (f"note: {note}" for note in report.notes)
     yield from (f"log: {finding}" for finding in report.log_findings)

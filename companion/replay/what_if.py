@@ -76,12 +76,12 @@ def what_if(
     ones break a rule.  It ends with the recording, or where the inputs can no longer be replayed.
     """
     asked: dict[int, tuple[float, PlanRequest]] = {}
-    for told, session, output in outputs(folder, mission_of):
+    for call, session, output in outputs(folder, mission_of):
         if output is not None and output.plan is not None:
             asked[output.plan.plan_id] = session.now_s, output.plan
-        if told[0] != "deliver":
+        if call[0] != "deliver":
             continue
-        recorded = answer_of(told)
+        recorded = answer_of(call)
         time_s, request = asked.pop(recorded.plan_id, (0.0, None))
         if request is None or request.flown is not None:
             continue
@@ -117,30 +117,34 @@ def with_changes(task: Task, before: Task, after: Task) -> Task:
     )
 
 
-def what_if_table(found: Sequence[WhatIf]) -> RenderableType:
+def what_if_table(plans: Sequence[WhatIf]) -> RenderableType:
     """Table of subpaths, as flown -> with the changed settings; below, both sums."""
     table = Table()
     for heading in ("plan", "at", "cost", "clearance", "length", "time"):
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("terms that differ")
-    for each in found:
-        pairs = zip(each.flown.cells(), each.now.cells(), strict=True)
+    for replanned in plans:
+        pairs = zip(replanned.flown.cells(), replanned.now.cells(), strict=True)
         cells = (was if was == now else f"{was} -> {now}" for was, now in pairs)
         terms = []
-        for name in dict.fromkeys((*each.flown.terms, *each.now.terms)):
-            was, now = (f"{side.terms.get(name, 0.0):.2f}" for side in (each.flown, each.now))
+        for name in dict.fromkeys((*replanned.flown.terms, *replanned.now.terms)):
+            was, now = (
+                f"{side.terms.get(name, 0.0):.2f}" for side in (replanned.flown, replanned.now)
+            )
             terms += [f"{name} {was} -> {now}"] if was != now else []
-        table.add_row(f"{each.plan_id}", f"{each.t_s:,.0f} s", *cells, ", ".join(terms))
-    both = [each for each in found if None not in (each.flown.cost, each.now.cost)]
+        table.add_row(f"{replanned.plan_id}", f"{replanned.t_s:,.0f} s", *cells, ", ".join(terms))
+    both = [
+        replanned for replanned in plans if None not in (replanned.flown.cost, replanned.now.cost)
+    ]
     return Group(
         table,
-        Text(f"{len(both)} subpaths as flown: {_sums([each.flown for each in both])}"),
-        Text(f"now: {_sums([each.now for each in both])}"),
+        Text(f"{len(both)} subpaths as flown: {_sums([replanned.flown for replanned in both])}"),
+        Text(f"now: {_sums([replanned.now for replanned in both])}"),
     )
 
 
 def _sums(figures: Sequence[Figures]) -> str:
-    cost = sum(each.cost or 0.0 for each in figures)
-    length_m = sum(each.length_m or 0.0 for each in figures)
-    least = metres_at_least(min((each.clearance_m or 0.0 for each in figures), default=0.0))
+    cost = sum(one.cost or 0.0 for one in figures)
+    length_m = sum(one.length_m or 0.0 for one in figures)
+    least = metres_at_least(min((one.clearance_m or 0.0 for one in figures), default=0.0))
     return f"cost {cost:.2f}, {length_m / 1000:,.2f} km, least proven clearance {least}"

@@ -88,8 +88,8 @@ class Track:
         t_s = np.asarray(positions[:, 1] * 1e-3, dtype=np.float64)
         strays = np.zeros(len(t_s), dtype=bool)
         if len(t_s) > 2:
-            before, here, after = t_s[:-2], t_s[1:-1], t_s[2:]
-            strays[1:-1] = (here < before - _REBOOT_S) & (after >= before - _REBOOT_S)
+            before, now, after = t_s[:-2], t_s[1:-1], t_s[2:]
+            strays[1:-1] = (now < before - _REBOOT_S) & (after >= before - _REBOOT_S)
         positions, t_s = positions[~strays], t_s[~strays]
         boot: IntArray = np.cumsum(np.diff(t_s, prepend=t_s[:1]) < -_REBOOT_S, dtype=np.int64)
         places = positions[:, _COLUMNS.index("lat") : _COLUMNS.index("lon") + 1]
@@ -207,7 +207,7 @@ class Flight:
         self.setpoints_us = array("q")
         """When the companion sent setpoints, microseconds since 1970."""
         self._positions = array("q")
-        self._kept: dict[int, list[tuple[int, bytes]]] = {each: [] for each in keeps}
+        self._kept: dict[int, list[tuple[int, bytes]]] = {number: [] for number in keeps}
         self._timed: list[tuple[int, Entry]] = []
         """Each entry of the journal, and how often the autopilot had rebooted then."""
         self._boot, self._last_s, self._restarted = 0, -math.inf, False
@@ -239,8 +239,8 @@ class Flight:
             return
         self.heard.extend((time_us, frame[4] if frame[0] == V2 else frame[2]))
         if number == _GPS.id:
-            told = dict(zip(_GPS.ordered_fieldnames, _unpacked(_GPS, frame), strict=True))
-            self.gps.extend((time_us, told["fix_type"], told["satellites_visible"]))
+            fields = dict(zip(_GPS.ordered_fieldnames, _unpacked(_GPS, frame), strict=True))
+            self.gps.extend((time_us, fields["fix_type"], fields["satellites_visible"]))
         elif number == _POSITION.id:
             self._positions.extend((time_us, *_unpacked(_POSITION, frame)))
 
@@ -339,7 +339,7 @@ class Flight:
     def newest(self, number: int, row: int, within_s: float = math.inf) -> Message | None:
         """The newest message of a kind that is kept, at a position; none if it is older."""
         time_us, kept = int(self.track.time_us[row]), self._kept[number]
-        at = bisect_right(kept, time_us, key=lambda each: each[0]) - 1
+        at = bisect_right(kept, time_us, key=lambda stamped: stamped[0]) - 1
         if at < 0 or time_us - kept[at][0] > 1e6 * within_s:
             return None
         return decoded(kept[at][1], wire.mavlink_map[number])
@@ -359,18 +359,20 @@ class Flight:
     def decided_at(self, times_s: FloatArray) -> list[Decided]:
         """What was decided so many seconds after the first position.  (N,)."""
         begins_s = [begin_s for begin_s, _ in self.states]
-        found = np.searchsorted(begins_s, times_s + _SAME_S, "right")
-        return [self.states[max(at - 1, 0)][1] for at in found.tolist()]
+        rows = np.searchsorted(begins_s, times_s + _SAME_S, "right")
+        return [self.states[max(at - 1, 0)][1] for at in rows.tolist()]
 
     def segments(self) -> list[tuple[str, slice]]:
         """Phases, and the positions in each."""
-        names = [each.phase for each in self.decided_at(self.times_s)]
+        names = [decided.phase for decided in self.decided_at(self.times_s)]
         starts = [at for at, name in enumerate(names) if at == 0 or names[at - 1] != name]
         return [(names[a], slice(a, b)) for a, b in pairwise([*starts, len(names)])]
 
     def legs_nea_m(self) -> list[FloatArray]:
         """The subpaths that were begun, each up to where the next one begins.  -> (S, 3) each."""
-        return joined_nea_m([each.plan.subpath for each in self.planned if each.leg is not None])
+        return joined_nea_m(
+            [planned.plan.subpath for planned in self.planned if planned.leg is not None]
+        )
 
 
 def joined_nea_m(subpaths: Iterable[Subpath]) -> list[FloatArray]:
@@ -384,7 +386,7 @@ def joined_nea_m(subpaths: Iterable[Subpath]) -> list[FloatArray]:
 
 def _moments(entries: Sequence[tuple[float, Entry]]) -> Iterator[Moment]:
     """Holds, each up to the next phase, and what else is worth a point on the map."""
-    phases = [(time_s, each) for time_s, each in entries if isinstance(each, noted.Phase)]
+    phases = [(time_s, entry) for time_s, entry in entries if isinstance(entry, noted.Phase)]
     ends_s = [*(after.t_s for _, after in phases[1:]), None]
     for (time_s, held), until_s in zip(phases, ends_s, strict=False):
         if (what := _HELD.get(held.phase)) is not None:

@@ -121,24 +121,24 @@ def flight_status(flown: FlightSummary) -> FlightStatus:
     session = flown.session
     state, clock, autopilot = session.state, session.clock, session.vehicle
     vehicle, flight, task = state.vehicle, state.flight, state.task
-    here, now_s = vehicle.position_nea_m, clock.going_on_s
+    position, now_s = vehicle.position_nea_m, clock.going_on_s
     reason, remedy = _reason(state)
     warned_at_s, warning = session.warned
-    said_at_s, said = (-math.inf, "") if autopilot is None else autopilot.last_text
+    said_at_s, vehicle_text = (-math.inf, "") if autopilot is None else autopilot.last_text
     looked_m = _LOOKS * task.settings.scan_range_m
     latitude = longitude = above_m = clear_m = None
-    if here is not None:
-        latitude, longitude = map(float, session.mission.frame.to_geodetic_deg(*here[:2]))
+    if position is not None:
+        latitude, longitude = map(float, session.mission.frame.to_geodetic_deg(*position[:2]))
         known = flight.known
-        if known.is_known(*here[:2]):
-            above_m = here[2] - float(known.upper_m[known.cell_of(*here[:2])])
-        clear_m = distance_to_terrain_m(known, np.asarray(here), looked_m, seen_only=True)
+        if known.is_known(*position[:2]):
+            above_m = position[2] - float(known.upper_m[known.cell_of(*position[:2])])
+        clear_m = distance_to_terrain_m(known, np.asarray(position), looked_m, seen_only=True)
     north_m_s, east_m_s, up_m_s = vehicle.velocity_nea_m_s
     speed_m_s = math.hypot(north_m_s, east_m_s)
-    has_way = state.phase in ON_PATH and here is not None and len(state.targets_ne_m) > 0
+    has_way = state.phase in ON_PATH and position is not None and len(state.targets_ne_m) > 0
     path, off_m = state.path, None
-    if path is not None and here is not None:
-        off_m = off_path_m(path.reference, path.leg, np.asarray(here))
+    if path is not None and position is not None:
+        off_m = off_path_m(path.reference, path.leg, np.asarray(position))
     plan = flown.plans[-1] if flown.plans else None
     proof = None if plan is None else plan.certificate
     heard, lost = session.frames_heard
@@ -151,7 +151,7 @@ def flight_status(flown: FlightSummary) -> FlightStatus:
         remedy=remedy,
         waits_for=_waits_for(flown),
         warning=warning if _stands(warned_at_s, now_s, state.stage.since_s) else None,
-        vehicle_text=said if _stands(said_at_s, now_s) else None,
+        vehicle_text=vehicle_text if _stands(said_at_s, now_s) else None,
         mode=None if vehicle.mode is None else vehicle.mode.value,
         armed=vehicle.armed,
         failsafe=vehicle.failsafe and state.phase in IN_AIR,
@@ -161,8 +161,8 @@ def flight_status(flown: FlightSummary) -> FlightStatus:
         time_left_s=way_left_m(state) / task.limits.speed_m_s if has_way else None,
         latitude_deg=latitude,
         longitude_deg=longitude,
-        position_age_s=None if here is None else now_s - vehicle.position_at_s,
-        altitude_amsl_m=None if here is None else here[2],
+        position_age_s=None if position is None else now_s - vehicle.position_at_s,
+        altitude_amsl_m=None if position is None else position[2],
         above_ground_m=above_m,
         clearance_m=clear_m,
         looked_m=looked_m,

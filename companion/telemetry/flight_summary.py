@@ -50,9 +50,9 @@ class FlightSummary:
     def to_go_m(self) -> float | None:
         """Horizontal distance from the vehicle to its target."""
         state = self.session.state
-        here = state.vehicle.position_nea_m
+        position = state.vehicle.position_nea_m
         targets = state.targets_ne_m[state.flight.target :]
-        return math.dist(here[:2], targets[0]) if here is not None and targets else None
+        return math.dist(position[:2], targets[0]) if position is not None and targets else None
 
     def note_passing(self) -> None:
         """Take account of the newest position."""

@@ -37,9 +37,9 @@ _UNREADABLE: Final = (ValueError, TypeError, RecursionError, msgpack.exceptions.
 Input = tuple[Any, ...]
 
 
-def packed(told: Iterable[Input]) -> list[bytes]:
+def packed(calls: Iterable[Input]) -> list[bytes]:
     """The records of some inputs."""
-    return [msgpack.packb(each) for each in told]
+    return [msgpack.packb(call) for call in calls]
 
 
 @final
@@ -79,11 +79,11 @@ class InputsFile:
     def __iter__(self) -> Iterator[Input]:
         """The next ones, up to the last whole one."""
         with self.path.open("rb") as file:
-            for end, told in () if self._is_broken else _records(file, self.read_bytes):
-                self._is_broken = told is None
-                if told is not None:
+            for end, call in () if self._is_broken else _records(file, self.read_bytes):
+                self._is_broken = call is None
+                if call is not None:
                     self.read_bytes = end
-                    yield told
+                    yield call
 
 
 def _records(file: BinaryIO, start: int) -> Iterator[tuple[int, Input | None]]:
@@ -91,9 +91,9 @@ def _records(file: BinaryIO, start: int) -> Iterator[tuple[int, Input | None]]:
     file.seek(start)
     unpacker = msgpack.Unpacker(file, read_size=_READ, max_buffer_size=_LONGEST)
     try:
-        for told in unpacker:
-            is_one = isinstance(told, list) and len(told) > 0 and type(told[0]) is str
-            yield start + unpacker.tell(), tuple(told) if is_one else None
+        for record in unpacker:
+            is_one = isinstance(record, list) and len(record) > 0 and type(record[0]) is str
+            yield start + unpacker.tell(), tuple(record) if is_one else None
             if not is_one:
                 return
     except _UNREADABLE:
@@ -107,7 +107,7 @@ def whole_inputs(path: Path, start: int = 0) -> int:
     """
     with path.open("rb") as file:
         at = start if start <= path.stat().st_size else 0
-        return max((end for end, told in _records(file, at) if told is not None), default=at)
+        return max((end for end, call in _records(file, at) if call is not None), default=at)
 
 
 def is_hole(path: Path, start: int) -> bool:

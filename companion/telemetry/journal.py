@@ -50,10 +50,10 @@ class Journal:
     def findings(self) -> tuple[str, ...]:
         """What was not as documented, each once, as text."""
         unknown = self._unknown.items()
-        found = [f"{n} x kind {kind!r}, which is not known: left out" for kind, n in unknown]
+        oddities = [f"{n} x kind {kind!r}, which is not known: left out" for kind, n in unknown]
         if self._torn_bytes:
-            found.append(f"the last line is not whole ({self._torn_bytes} bytes): left out")
-        return tuple(f"{self.path.name}: {each}" for each in found)
+            oddities.append(f"the last line is not whole ({self._torn_bytes} bytes): left out")
+        return tuple(f"{self.path.name}: {oddity}" for oddity in oddities)
 
     def entries(self) -> Iterator[Entry]:
         """Likewise without headers."""
@@ -112,10 +112,10 @@ class Journal:
 def _header(values: dict[str, Any], where: str) -> Header:
     """A header of the schema and version that are known."""
     for field, only in (("schema", SCHEMA), ("version", VERSION)):
-        found = values.get(field)
-        if type(found) is not type(only) or found != only:
+        value = values.get(field)
+        if type(value) is not type(only) or value != only:
             remedy = "Read it with the companion that has written it."
-            raise InputError(f"{where}: {field}", found, f"only {only!r} can be read", remedy)
+            raise InputError(f"{where}: {field}", value, f"only {only!r} can be read", remedy)
     return msgspec.convert(values, Header)
 
 

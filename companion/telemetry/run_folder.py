@@ -128,7 +128,7 @@ class RunFolder:
         head = None
         with suppress(OSError, ValueError):
             head = resume_head(self.path)
-        tlog, journal, told = (self.path / name for name in _GROWING)
+        tlog, journal, calls = (self.path / name for name in _GROWING)
         self.epoch_us = self.epoch_us if head is None else head.epoch_us
         if tlog.exists():
             if head is None:  # the log's first record tells where vehicle time began
@@ -140,8 +140,8 @@ class RunFolder:
             with journal.open("rb") as file:
                 self._starts = sum(line.startswith(b'{"schema":') for line in file)
             _cut(journal, _whole_lines(journal))
-        if told.exists():
-            _cut(told, inputs.whole_inputs(told, 0 if head is None else head.inputs_bytes))
+        if calls.exists():
+            _cut(calls, inputs.whole_inputs(calls, 0 if head is None else head.inputs_bytes))
 
     # --- what grows
 
@@ -163,11 +163,11 @@ class RunFolder:
         """Journal entries."""
         self._write(_JOURNAL, [journal_line(entry) for entry in entries])
 
-    def inputs(self, told: Sequence[inputs.Input]) -> None:
+    def inputs(self, calls: Sequence[inputs.Input]) -> None:
         """What the session was told."""
-        if told and self._size(inputs.FILE) == 0:
-            told = (inputs.HEADER, *told)
-        self._write(inputs.FILE, inputs.packed(told))
+        if calls and self._size(inputs.FILE) == 0:
+            calls = (inputs.HEADER, *calls)
+        self._write(inputs.FILE, inputs.packed(calls))
 
     def _size(self, name: str) -> int:
         return self._files[name].tell() if name in self._files else 0

@@ -188,8 +188,8 @@ def draw_plan(axes: Axes, figure: FlightFigure) -> None:
     scale = axes.inset_axes((1.03, 0.0, 0.03, 1.0))
     unit, in_unit = figure.unit
     is_cut = heights.max() > high  # not where nothing is known
-    told: _Style = {"format": in_unit, "label": f"terrain, {unit} AMSL"}
-    Colorbar(scale, colours, extend="max" if is_cut else "neither", **told)
+    style_of_scale: _Style = {"format": in_unit, "label": f"terrain, {unit} AMSL"}
+    Colorbar(scale, colours, extend="max" if is_cut else "neither", **style_of_scale)
     middles = (east[1:] + east[:-1]) / 2, (north[1:] + north[:-1]) / 2
     for level_m, style in zip(figure.band_m, (_FLOOR, _CEILING), strict=True):
         scale.axhline(level_m, **style)
@@ -338,7 +338,7 @@ def recorded_figure(flight: Flight, known: KnownMap | None) -> FlightFigure | No
     lines = [line for line in (track, *legs) if len(line)]
     if not lines:
         return None
-    scans = (each.centre_nea_m for _, each in flight.entries if isinstance(each, ScanAsked))
+    scans = (entry.centre_nea_m for _, entry in flight.entries if isinstance(entry, ScanAsked))
     blank = empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
     return FlightFigure(
         task=task,

@@ -54,8 +54,8 @@ class Progress:
         self._console, self._output = console, output
         self._redraws = output.isatty() and not console.is_dumb_terminal
         self._live = Live(console=console, auto_refresh=False, transient=True)
-        self._told: tuple[object, ...] = ()
-        self._said: str | None = None
+        self._shown: tuple[object, ...] = ()
+        self._vehicle_text: str | None = None
         self._shown_s = -math.inf
 
     def show(self, status: FlightStatus) -> None:
@@ -73,11 +73,11 @@ class Progress:
 
     def _lines(self, status: FlightStatus) -> Iterator[str]:
         """What is new, in lines that stay."""
-        said, self._said = self._said, status.vehicle_text
-        if self._said not in (said, None):
-            yield f"t {status.t_s:7.1f} s  vehicle: {self._said}"
-        told, self._told = self._told, _news(status, legs=not self._redraws)
-        if self._told != told:
+        said_before, self._vehicle_text = self._vehicle_text, status.vehicle_text
+        if self._vehicle_text not in (said_before, None):
+            yield f"t {status.t_s:7.1f} s  vehicle: {self._vehicle_text}"
+        shown_before, self._shown = self._shown, _news(status, legs=not self._redraws)
+        if self._shown != shown_before:
             yield progress_line(status)
 
     def __enter__(self) -> Self:
@@ -99,7 +99,7 @@ class MachineLines:
         self.end: End | None = None
         """Of the mission, once it is over."""
         self._output = output
-        self._told: tuple[object, ...] = ()
+        self._shown: tuple[object, ...] = ()
         self._shown_s = -math.inf
 
     def say(self, line: FlightBegun | FlightStatus | FlightEnded) -> None:
@@ -113,9 +113,9 @@ class MachineLines:
         What a slow reader has no time for is left out.
         """
         now_s, news = time.monotonic(), (status.vehicle_text, *_news(status, legs=True))
-        is_due = news != self._told or now_s - self._shown_s >= _SHOWN_S
+        is_due = news != self._shown or now_s - self._shown_s >= _SHOWN_S
         if is_due and self._output is not None and not self._output.is_behind:
-            self._told, self._shown_s = news, now_s
+            self._shown, self._shown_s = news, now_s
             self.say(status)
 
     def __enter__(self) -> Self:
@@ -150,9 +150,11 @@ def _notice(status: FlightStatus) -> str:
 
 def progress_line(status: FlightStatus) -> str:
     """What has just happened, and how the flight stands."""
-    told = {heading: text for heading, text, _ in _values(status)}
+    texts = {heading: text for heading, text, _ in _values(status)}
     parts = [f"t {status.t_s:7.1f} s", f"{status.phase:<10}"]
-    parts += (f"{each} {told[each]}" for each in _IN_LINE if told.get(each, "-") != "-")
+    parts += (
+        f"{heading} {texts[heading]}" for heading in _IN_LINE if texts.get(heading, "-") != "-"
+    )
     if notice := _notice(status):
         parts.append(f"({notice})")
     return "  ".join(parts)

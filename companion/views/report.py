@@ -105,21 +105,25 @@ class FlightFacts:
         self.end = next((e for e in reversed(entries) if isinstance(e, events.End)), None)
         """The end of the mission; None: the record ends before."""
         why = "" if self.end is None else self.end.reason
-        self.remedy = next((each.remedy for each in Reason if why.startswith(each.text)), "")
+        self.remedy = next((reason.remedy for reason in Reason if why.startswith(reason.text)), "")
         """What to do about a flight that has failed, if that is known."""
         self.holds = [moment for moment in self.flight.moments if moment.what == "hold"]
         """When it was held, and why."""
         last_s = float(self.times_s[-1]) if len(self.times_s) else 0.0
         lasted_s = ((last_s if h.until_s is None else h.until_s) - h.t_s for h in self.holds)
-        self.held_s = sum(max(each, 0.0) for each in lasted_s)
+        self.held_s = sum(max(seconds, 0.0) for seconds in lasted_s)
         """For how long in all, as far as it was recorded."""
         self.counts = Counter(entry.kind for entry in entries)
         """How many entries of each kind the journal has."""
         plans = (e for e in entries if isinstance(e, noted.PlanReady | noted.PlanRefused))
         self.out_of_time = sum(plan.out_of_time for plan in plans)
         """How many plans were cut by time, found or not."""
-        told = self.run.get("planning_s")
-        took_s = [t for t in told if isinstance(t, int | float)] if isinstance(told, list) else []
+        recorded_s = self.run.get("planning_s")
+        took_s = (
+            [t for t in recorded_s if isinstance(t, int | float)]
+            if isinstance(recorded_s, list)
+            else []
+        )
         self.planning_s = (statistics.median(took_s), max(took_s)) if took_s else None
         """How long plans took, median and longest, wall time; None: that was not recorded."""
 
@@ -213,9 +217,9 @@ class FlightFacts:
 
     def events(self) -> Iterator[tuple[float, str, bool]]:
         """Vehicle time, what happened, and whether it is bad; what is said twice in a row once."""
-        said = ((entry.t_s, entry_words(entry)) for _, entry in self.flight.entries)
-        told = ((t_s, *words) for t_s, words in said if words is not None)
-        return (next(alike) for _, alike in groupby(told, key=lambda each: each[1]))
+        worded = ((entry.t_s, entry_words(entry)) for _, entry in self.flight.entries)
+        events = ((t_s, *words) for t_s, words in worded if words is not None)
+        return (next(alike) for _, alike in groupby(events, key=lambda event: event[1]))
 
 
 def report_html(facts: FlightFacts) -> str:

@@ -76,17 +76,17 @@ def _sight(mission: Mission) -> str:
     if sensor is not None:
         kind = f"{sensor.kind.upper()} of component {sensor.component_id}"
         return f"{metres(sensor.range_m)} (R) far, by {kind}; stops at once for what is in the way"
-    told = f"{metres(range_m)} (R) far, {metres(mission.task.scan_distance_m)} (L) before the end "
-    told += "of each subpath, by terrain radar"
+    sight = f"{metres(range_m)} (R) far, {metres(mission.task.scan_distance_m)} (L) before the end "
+    sight += "of each subpath, by terrain radar"
     if mission.scanner_component_id is None:
-        told = "nothing: there is no terrain radar, and only known terrain is flown over"
+        sight = "nothing: there is no terrain radar, and only known terrain is flown over"
     elif not mission.scanner_complete:
-        told += ", which may miss ground in its sight: nothing bounds what it does not show"
+        sight += ", which may miss ground in its sight: nothing bounds what it does not show"
     if known is not None:
-        told += f". Terrain of {_share(known.upper_m)} of the map is known in advance"
+        sight += f". Terrain of {_share(known.upper_m)} of the map is known in advance"
         if known.guess_m is not None:
-            told += f"; a file guides over {_share(known.guess_m)} of it, and proves nothing"
-    return told
+            sight += f"; a file guides over {_share(known.guess_m)} of it, and proves nothing"
+    return sight
 
 
 def _share(heights_m: FloatArray) -> str:
@@ -117,7 +117,9 @@ def _flown(flown: FlightSummary) -> Iterator[tuple[str, str]]:
     yield "subpaths flown", f"{session.state.flight.legs_flown}"
     if plans:
         yield "cost of all subpaths", number(sum(plan.cost for plan in plans), 1)
-        nearest = min((plan.certificate for plan in plans), key=lambda each: each.clearance_m)
+        nearest = min(
+            (plan.certificate for plan in plans), key=lambda certificate: certificate.clearance_m
+        )
         yield "least proven clearance", clearance_text(nearest)
         inside_m = sum(plan.certificate.radar_m for plan in plans)
         yield "planned inside radar ranges", f"{number(inside_m)} m"

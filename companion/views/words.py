@@ -10,7 +10,7 @@ from companion.mission.journal import Entry
 from companion.mission.state import Phase
 
 _KM_FROM_M: Final = 10_000.0
-_BAD_PHASES: Final = [each.value for each in (Phase.HOLDING, Phase.FAULTED, Phase.HANDING_OVER)]
+_BAD_PHASES: Final = [phase.value for phase in (Phase.HOLDING, Phase.FAULTED, Phase.HANDING_OVER)]
 _WORDS: Final[dict[type[Entry], str]] = {
     noted.LegBegun: "begins subpath {0.number}",
     noted.PathLeft: "beside its path, {0.left_path_m:.2g} m more than its tracking error",

@@ -111,23 +111,23 @@ def write_geojson(flight: Flight, file: Path) -> None:
     """Write a flight, one feature a line.  Raises OSError if that cannot be done."""
     head = {"type": "FeatureCollection", "name": flight.mission.name, "altitude_datum": "AMSL"}
     lines = (
-        json.dumps(_geojson(each), ensure_ascii=False, allow_nan=False)
-        for each in features_of(flight)
+        json.dumps(_geojson(feature), ensure_ascii=False, allow_nan=False)
+        for feature in features_of(flight)
     )
     with file.open("w", encoding="utf-8") as out:
         out.write(json.dumps(head, ensure_ascii=False)[:-1] + ', "features": [')
         out.write(",\n".join(lines) + "\n]}\n")
 
 
-def _geojson(each: Feature) -> dict[str, Any]:
+def _geojson(feature: Feature) -> dict[str, Any]:
     """As the standard has it; property `kind` says what each is."""
-    rows = [[round(value, 7) for value in row] for row in each.points.tolist()]
+    rows = [[round(value, 7) for value in row] for row in feature.points.tolist()]
     rows = [row for row, _ in groupby(rows)]  # none that repeats the one before
-    kind = _GEOMETRIES.get(each.kind, "Polygon")
+    kind = _GEOMETRIES.get(feature.kind, "Polygon")
     if kind == "LineString" and len(rows) == 1:
         rows *= 2
     coordinates = {"Point": rows[0], "LineString": rows, "Polygon": [rows]}[kind]
-    properties = {"kind": each.kind, "name": each.name, **each.facts}
+    properties = {"kind": feature.kind, "name": feature.name, **feature.facts}
     geometry = {"type": kind, "coordinates": coordinates}
     return {"type": "Feature", "properties": properties, "geometry": geometry}
 
@@ -181,20 +181,24 @@ def write_kml(flight: Flight, file: Path) -> None:
         out.writelines(parts)
 
 
-def _name(each: Feature) -> str:
-    facts = each.facts
-    match each.kind:
+def _name(feature: Feature) -> str:
+    facts = feature.facts
+    match feature.kind:
         case "subpath":
-            return f"{each.name}, leg {facts['leg']}" if facts["leg"] else f"{each.name}, not flown"
+            return (
+                f"{feature.name}, leg {facts['leg']}"
+                if facts["leg"]
+                else f"{feature.name}, not flown"
+            )
         case "event":
             return f"{facts['what']}: {facts['why']}"
         case _:
-            return each.name
+            return feature.name
 
 
-def _style(each: Feature) -> str:
+def _style(feature: Feature) -> str:
     """Its name among `_STYLES`; empty: Google Earth's own."""
-    names = (f"phase-{each.name}", each.kind) if each.kind == "track" else (each.kind,)
+    names = (f"phase-{feature.name}", feature.kind) if feature.kind == "track" else (feature.kind,)
     return next((name for name in names if name in _STYLES), "")
 
 
@@ -233,8 +237,8 @@ def write_csv(flight: Flight, file: Path) -> None:
         "utc": [shapes.utc_text(time_us) for time_us in track.time_us],
         "north_m": north_m,
         "east_m": east_m,
-        "phase": [each.phase for each in known],
-        "leg": [each.leg_number for each in known],
+        "phase": [decided.phase for decided in known],
+        "leg": [decided.leg_number for decided in known],
     }
     columns = [values.get(name, getattr(track, name, None)) for name in COLUMNS]
     forms = [form for form, _ in COLUMNS.values()]
@@ -242,5 +246,5 @@ def write_csv(flight: Flight, file: Path) -> None:
         rows = csv.writer(out)
         rows.writerow(COLUMNS)
         for row in zip(*columns, strict=True):
-            written = (format(each, form) for each, form in zip(row, forms, strict=True))
+            written = (format(value, form) for value, form in zip(row, forms, strict=True))
             rows.writerow("" if text == "nan" else text for text in written)

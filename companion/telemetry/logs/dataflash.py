@@ -156,8 +156,8 @@ class _Look:
                     self.system_id = int(values["Value"])
             case "VER" | "MSG" if self.mav_type is None:
                 text = values["FWS" if row.name == "VER" else "Message"]
-                if (found := _VERSION.match(text)) is not None:
-                    self.version = int(found[1]), int(found[2])
+                if (match := _VERSION.match(text)) is not None:
+                    self.version = int(match[1]), int(match[2])
                 kinds = (mav for word, mav in _VEHICLES.items() if text.startswith(word))
                 self.mav_type = next(kinds, None)
 
@@ -229,8 +229,8 @@ class _Vehicle:
                 yield wire.MAVLink_gps_global_origin_message(*_wired(values), boot_us)
             case "ORGN" if values["Type"] == 1:
                 level = [1.0, 0.0, 0.0, 0.0]
-                told = (*_wired(values), 0, 0, 0, level, 0, 0, 0, boot_us)
-                yield wire.MAVLink_home_position_message(*told)
+                fields = (*_wired(values), 0, 0, 0, level, 0, 0, 0, boot_us)
+                yield wire.MAVLink_home_position_message(*fields)
             case "GPS" if values.get("I", 0) == 0:
                 yield _gps(values, boot_us)
             case "BAT" if values.get("Inst", values.get("Instance", values.get("I", 0))) == 0:
@@ -270,7 +270,7 @@ class _Vehicle:
         return wire.MAVLink_global_position_int_message(
             made.boot_ms(boot_us),
             *(*_wired(values), round(values.get("RelHomeAlt", 0.0) * 1e3)),
-            *(round(each * 100) for each in self._velocities[self._core][1:]),
+            *(round(speed * 100) for speed in self._velocities[self._core][1:]),
             direction(self._yaw_deg),
         )
 

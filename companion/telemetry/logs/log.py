@@ -114,7 +114,7 @@ class Log:
         if asked is None or asked in self.systems:
             return
         rule = f"there is no such vehicle in {self.path.name}"
-        if of_it := sorted(each for each in self.elsewhere if each[0] == asked):
+        if of_it := sorted(sender for sender in self.elsewhere if sender[0] == asked):
             rule += f": its autopilot is {ids_in_words(of_it)}, not component 1"
             raise InputError("--system", asked, rule, TO_COMPONENT_1)
         none = "There is no autopilot's heartbeat in it: leave --system out."

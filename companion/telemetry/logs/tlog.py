@@ -43,16 +43,16 @@ _NO_AUTOPILOTS: Final = (wire.MAV_TYPE_GCS, wire.MAV_TYPE_ONBOARD_CONTROLLER)
 
 def opened(path: Path) -> Log | None:
     """A log of MAVLink frames; None: there is none in it.  InputError: they have no time stamps."""
-    framed = (each for each in _framed(path, Counter()) if number_of(each[1]) in KINDS)
+    framed = (record for record in _framed(path, Counter()) if number_of(record[1]) in KINDS)
     stamps = [stamp for stamp, _ in islice(framed, _SAMPLE)]
     autopilots, elsewhere = _autopilots_of(path)
-    times_us = [int.from_bytes(each) for each in stamps if len(each) == _STAMP]
+    times_us = [int.from_bytes(stamp) for stamp in stamps if len(stamp) == _STAMP]
     if not stamps:
         return None
     if 2 * len(times_us) < len(stamps):
         remedy = "Give the .tlog that was written beside it."
         raise InputError("log", str(path), "its messages have no time stamps", remedy)
-    start_us = earliest([each for each in times_us if each < YEAR_2100_US])
+    start_us = earliest([time_us for time_us in times_us if time_us < YEAR_2100_US])
     return Log(
         kind="tlog",
         path=path,
@@ -87,7 +87,7 @@ def _records(start_us: int, log: Log) -> Iterator[Record]:
 
 def _autopilots_of(path: Path) -> tuple[dict[int, int], frozenset[tuple[int, int]]]:
     """MAV_AUTOPILOT by system id of all autopilots, and those that are not component 1."""
-    found, elsewhere = dict[int, int](), set[tuple[int, int]]()
+    autopilots, elsewhere = dict[int, int](), set[tuple[int, int]]()
     data = b""
     with path.open("rb") as file:
         while portion := file.read(_PORTION):
@@ -100,10 +100,10 @@ def _autopilots_of(path: Path) -> tuple[dict[int, int], frozenset[tuple[int, int
                     continue
                 system, component = sender_of(frame)
                 if component == AUTOPILOT_COMPONENT:
-                    found.setdefault(system, payload[5])
+                    autopilots.setdefault(system, payload[5])
                 else:
                     elsewhere.add((system, component))
-    return found, frozenset(elsewhere)
+    return autopilots, frozenset(elsewhere)
 
 
 # --- frames in the bytes of a file
@@ -131,9 +131,9 @@ def _framed(path: Path, odd: Counter[Odd]) -> Iterator[tuple[bytes, bytes]]:
                 at = end
                 continue
             until = len(data) - LONGEST if more else len(data)  # beyond, more may be needed
-            found, end = _next_intact(data, at, until)
-            stamp = data[max(at, found - _STAMP) : found] if end else b""
-            after = found - (_STAMP if len(stamp) == _STAMP else 0)
+            frame_at, end = _next_intact(data, at, until)
+            stamp = data[max(at, frame_at - _STAMP) : frame_at] if end else b""
+            after = frame_at - (_STAMP if len(stamp) == _STAMP else 0)
             if more and not end:
                 after -= _STAMP  # the stamp of the next one may be among the last bytes
             if _may_begin(data, begin) and frame_extent(data, begin)[0] == after:
@@ -142,7 +142,7 @@ def _framed(path: Path, odd: Counter[Odd]) -> Iterator[tuple[bytes, bytes]]:
                 is_cut = not (more or end) and after - at < _STAMP + LONGEST
                 odd[Odd.CUT_SHORT if is_cut else Odd.GARBAGE] += after - at
             if end:
-                yield stamp, data[found:end]
+                yield stamp, data[frame_at:end]
             at = end or after
 
 
@@ -157,8 +157,8 @@ def _unknown_end(data: bytes, at: int) -> int:
 
 def _next_intact(data: bytes, at: int, until: int) -> tuple[int, int]:
     """Where the next intact frame begins and ends; an end of 0: none begins before `until`."""
-    while (found := find_marker(data, at)) is not None and found.start() < until:
-        at = found.start()
+    while (marker := find_marker(data, at)) is not None and marker.start() < until:
+        at = marker.start()
         if end := intact_end(data, at):
             return at, end
         at += 1
@@ -167,5 +167,5 @@ def _next_intact(data: bytes, at: int, until: int) -> tuple[int, int]:
 
 def _may_begin(data: bytes, at: int) -> bool:
     """Whether there is what a frame can begin with, as far as it can be told."""
-    found = find_marker(data, at, at + 3)
-    return found is not None and found.start() == at
+    marker = find_marker(data, at, at + 3)
+    return marker is not None and marker.start() == at

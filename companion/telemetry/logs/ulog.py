@@ -86,20 +86,20 @@ def _topics(log: ULog) -> dict[str, ULog.Data]:
     In reverse order: what is known of a moment is the vehicle's status first, then its local
     position, then the global one that is made of it.
     """
-    found = {
-        each.name: each
-        for each in log.data_list
-        if each.multi_id == 0 and each.data.get("timestamp", np.zeros(0)).dtype.kind == "u"
+    topics = {
+        topic.name: topic
+        for topic in log.data_list
+        if topic.multi_id == 0 and topic.data.get("timestamp", np.zeros(0)).dtype.kind == "u"
     }
-    return {name: found[name] for name in sorted(found, reverse=True)}
+    return {name: topics[name] for name in sorted(topics, reverse=True)}
 
 
 def _rows(log: ULog) -> Iterator[Row]:
     """Parameters, texts and data, by time."""
     texts = (*log.logged_messages, *itertools.chain(*log.logged_messages_tagged.values()))
     rows = [
-        Row("text", each.timestamp, {"level": each.log_level, "text": each.message})
-        for each in texts
+        Row("text", text.timestamp, {"level": text.log_level, "text": text.message})
+        for text in texts
     ]
     for time_us, key, value in log.changed_parameters:
         rows.append(Row("parameter", time_us, {"key": key, "value": value}))
@@ -174,7 +174,7 @@ def _epoch_us(log: ULog, fixes: ULog.Data | None) -> int | None:
     """When the vehicle booted, microseconds since 1970: by its GPS, or else by its own clock."""
     dates = [log.msg_info_dict.get("boot_time_utc_us", 0)]
     if fixes is not None and "time_utc_usec" in fixes.data:
-        utc_us, time_us = (fixes.data[each].tolist() for each in ("time_utc_usec", "timestamp"))
+        utc_us, time_us = (fixes.data[field].tolist() for field in ("time_utc_usec", "timestamp"))
         dates[:0] = [date - at for date, at in zip(utc_us, time_us, strict=True)]
     return next((date for date in dates if YEAR_2000_US <= date < YEAR_2100_US), None)
 
@@ -283,7 +283,7 @@ class _Vehicle:
         return wire.MAVLink_global_position_int_message(
             made.boot_ms(boot_us),
             *(*wired((values["lat"], values["lon"], altitude_m)), round(above_m * 1e3)),
-            *(round(local[each] * 100) for each in ("vx", "vy", "vz")),
+            *(round(local[field] * 100) for field in ("vx", "vy", "vz")),
             direction(math.degrees(local["heading"])),
         )
 
@@ -292,7 +292,7 @@ def _home(values: Values, boot_us: int) -> Message:
     half = 0.5 * values.get("yaw", 0.0)
     return wire.MAVLink_home_position_message(
         *wired((values["lat"], values["lon"], values["alt"])),
-        *(values[each] for each in ("x", "y", "z")),
+        *(values[field] for field in ("x", "y", "z")),
         [math.cos(half), 0.0, 0.0, math.sin(half)],
         *(0.0, 0.0, 0.0, boot_us),
     )
@@ -300,14 +300,14 @@ def _home(values: Values, boot_us: int) -> Message:
 
 def _gps(values: Values, boot_us: int) -> Message:
     if "latitude_deg" in values:
-        place = wired(tuple(values[each] for each in _PLACE))
+        place = wired(tuple(values[field] for field in _PLACE))
         ellipsoid_mm = values["altitude_ellipsoid_m"] * 1e3
     else:  # before 1.14
         place = (values["lat"], values["lon"], values["alt"])
         ellipsoid_mm = values["alt_ellipsoid"]
     return wire.MAVLink_gps_raw_int_message(
         *(boot_us, values["fix_type"], *place),
-        *(whole(values[each] * 100, 0, 65535) for each in ("hdop", "vdop", "vel_m_s")),
+        *(whole(values[field] * 100, 0, 65535) for field in ("hdop", "vdop", "vel_m_s")),
         *(direction(math.degrees(values["cog_rad"])), values["satellites_used"]),
         alt_ellipsoid=round(ellipsoid_mm),
         h_acc=whole(values["eph"] * 1e3, 0, _MOST),
@@ -317,10 +317,10 @@ def _gps(values: Values, boot_us: int) -> Message:
 
 
 def _estimator(values: Values, boot_us: int) -> Message:
-    ratios = (f"{each}_test_ratio" for each in ("vel", "pos", "hgt", "mag", "hagl", "tas"))
+    ratios = (f"{name}_test_ratio" for name in ("vel", "pos", "hgt", "mag", "hagl", "tas"))
     return wire.MAVLink_estimator_status_message(
         *(boot_us, values["solution_status_flags"]),
-        *(values.get(each, math.nan) for each in ratios),
+        *(values.get(name, math.nan) for name in ratios),
         *(values["pos_horiz_accuracy"], values["pos_vert_accuracy"]),
     )
 
@@ -329,7 +329,7 @@ def _made_estimator(values: Values, flags: Values, boot_us: int) -> Message:
     """ESTIMATOR_STATUS of what vehicle_local_position calls valid, and rejections."""
     horizontal, placed = bool(values["v_xy_valid"]), bool(values["xy_valid"])
     absolute = placed and bool(values["xy_global"])
-    said = {
+    flag_values = {
         wire.ESTIMATOR_ATTITUDE: flags["cs_tilt_align"],
         wire.ESTIMATOR_VELOCITY_HORIZ: horizontal,
         wire.ESTIMATOR_VELOCITY_VERT: values["v_z_valid"],
@@ -342,9 +342,9 @@ def _made_estimator(values: Values, flags: Values, boot_us: int) -> Message:
         wire.ESTIMATOR_PRED_POS_HORIZ_ABS: absolute,
         wire.ESTIMATOR_ACCEL_ERROR: flags["fs_bad_acc_vertical"],
     }
-    rejected = (flags.get(f"reject_{each}") for each in ("hor_vel", "hor_pos", "ver_pos"))
+    rejected = (flags.get(f"reject_{name}") for name in ("hor_vel", "hor_pos", "ver_pos"))
     return wire.MAVLink_estimator_status_message(
-        *(boot_us, sum(flag for flag, holds in said.items() if holds)),
-        *(1.0 if each else math.nan for each in rejected),
+        *(boot_us, sum(flag for flag, holds in flag_values.items() if holds)),
+        *(1.0 if is_rejected else math.nan for is_rejected in rejected),
         *(math.nan, math.nan, math.nan, values["eph"], values["epv"]),
     )
