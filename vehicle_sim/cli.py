@@ -103,7 +103,7 @@ def fly(
     version: Annotated[bool, _flag("--version", "Say which version this is.", _version)] = False,  # noqa: ARG001
 ) -> None:
     """Parse, then fly."""
-    endpoints = [parse_endpoint(each) for each in connect or [_CONNECT]]
+    endpoints = [parse_endpoint(text) for text in connect or [_CONNECT]]
     if speedup is not None and lockstep:
         rule = "lockstep sets its own pace"
         raise InputError("--speedup", speedup, rule, "Leave out one of the two.")
@@ -123,13 +123,13 @@ def fly(
         flown = read_world(_world_path(world))
     worlds = _row(_with_parameters(flown, param or [], speedup or 1.0), count)
     timeline = "" if faults is None else _timeline(faults)
-    byte_streams = {n for n, each in enumerate(endpoints) if each.kind == "tcpin"}
+    byte_streams = {n for n, endpoint in enumerate(endpoints) if endpoint.kind == "tcpin"}
     with ExitStack() as stack:
         stop, stations, links = stack.enter_context(stopping_on_signals()), list[Station](), []
-        for k, each in enumerate(worlds):
+        for k, own_world in enumerate(worlds):
             shares = k > 0 and port_step == 0
             simulation = Simulation(
-                each,
+                own_world,
                 seed=seed + k,
                 links=len(endpoints),
                 byte_streams=byte_streams,
@@ -141,7 +141,7 @@ def fly(
             name = f"truth-{k + 1}.jsonl" if k else "truth.jsonl"
             truth = stack.enter_context(truth_file(out, name))
             if not shares:
-                links = [open_link(each.shifted(k * port_step)) for each in endpoints]
+                links = [open_link(endpoint.shifted(k * port_step)) for endpoint in endpoints]
                 for link in links:
                     stack.callback(link.close)
             stations.append(Station(simulation=simulation, links=links, truth=truth))
@@ -157,9 +157,9 @@ def fly(
         )
         wall_s = server.run()
     simulations = [station.simulation for station in stations]
-    flown_s = max(each.now_us for each in simulations) * 1e-6
+    flown_s = max(simulation.now_us for simulation in simulations) * 1e-6
     times = flown_s / wall_s if wall_s > 0.0 else 0.0
-    ends = "; ".join(each.outcome() for each in simulations[:3])
+    ends = "; ".join(simulation.outcome() for simulation in simulations[:3])
     _say(f"{flown_s:.1f} s of vehicle time in {wall_s:.1f} s ({times:.1f} x real time); {ends}")
 
 
@@ -230,7 +230,8 @@ def _row(world: World, count: int) -> list[World]:
         for k in range(count)
     )
     return [
-        world.model_copy(update={"vehicle": vehicle.model_copy(update=each)}) for each in vehicles
+        world.model_copy(update={"vehicle": vehicle.model_copy(update=fields)})
+        for fields in vehicles
     ]
 
 

@@ -28,7 +28,7 @@ class InputError(SimulatorError):
     exit_code = 2
 
     def __init__(self, field: str, value: object, rule: str, remedy: str) -> None:
-        said = f"{field} = {value!r}: {rule}. {remedy}"
+        message = f"{field} = {value!r}: {rule}. {remedy}"
         # keys and names of a file may hold anything, a line break too
-        super().__init__("".join(c if c.isprintable() else repr(c)[1:-1] for c in said))
+        super().__init__("".join(c if c.isprintable() else repr(c)[1:-1] for c in message))
         self.field = field

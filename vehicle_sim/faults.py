@@ -283,18 +283,18 @@ class Fault:
 
     def read(self, line: str, where: str) -> dict[str, Any]:
         """The fields that a line sets; InputError, with its place, if it does not fit."""
-        found = self._pattern.fullmatch(f"{line} ")
-        if found is None:
+        match = self._pattern.fullmatch(f"{line} ")
+        if match is None:
             raise InputError(where, line, f'reads "{self.usage}"', "Correct the line.")
         sets, number = dict(self.sets), 0.0
         # one key for all numbers and ways of a vector
-        for key, unit, said in zip(cycle(self._keys), self._units, found.groups(""), strict=False):
-            if way := _WAYS.get(said.lower()):
+        for key, unit, text in zip(cycle(self._keys), self._units, match.groups(""), strict=False):
+            if way := _WAYS.get(text.lower()):
                 sets[key] = tuple(a + number * b for a, b in zip(sets[key], way, strict=True))
-            elif "_" in said:
-                sets[key] = type(sets[key])(said.lower())
-            elif said:
-                number = float(said)
+            elif "_" in text:
+                sets[key] = type(sets[key])(text.lower())
+            elif text:
+                number = float(text)
                 least, most = _RANGES.get(key) or _RANGES.get(unit) or _RANGES[""]
                 if not least <= number <= most:
                     rule = f"{number:g} must lie from {least:g} to {most:g}"
@@ -496,14 +496,14 @@ _PX4_MIN_SATELLITES: Final = 4
 
 def sim_parameters(firmware: Firmware) -> tuple[Parameter, ...]:
     """What the tables of its autopilots end with."""
-    asking, rows = (each for each in ASKING if firmware in each.of), list[Parameter]()
-    for each in asking:
-        kind, usual = each.type, float(each.usual)
+    asking, rows = (asked for asked in ASKING if firmware in asked.of), list[Parameter]()
+    for parameter in asking:
+        kind, usual = parameter.type, float(parameter.usual)
         if firmware == "px4":  # which knows INT32 and FLOAT only, and whose receiver is never late
             kind = kind if kind is Kind.REAL32 else Kind.INT32
-            usual = 0.0 if each.key == "lag_s" else usual
-        limits = {"least": each.least, "most": each.most}
-        rows.append(Parameter(name=each.name, default=usual, kind=kind, **limits))
+            usual = 0.0 if parameter.key == "lag_s" else usual
+        limits = {"least": parameter.least, "most": parameter.most}
+        rows.append(Parameter(name=parameter.name, default=usual, kind=kind, **limits))
     return tuple(rows)
 
 
@@ -513,9 +513,11 @@ def conditions_of(parameters: Readable, lasting: Iterable["Entry"] = ()) -> Cond
     A parameter that the table lacks, or that is not a number, has its usual value.
     """
     values: dict[str, dict[str, Any]] = {group: {} for group in Conditions._fields}
-    for each in ASKING:
-        if math.isfinite(value := parameters.get(each.name, math.nan)):
-            values[each.group][each.key] = _meant(each.group, each.key, value, each.unit)
+    for parameter in ASKING:
+        if math.isfinite(value := parameters.get(parameter.name, math.nan)):
+            values[parameter.group][parameter.key] = _meant(
+                parameter.group, parameter.key, value, parameter.unit
+            )
     for entry in lasting:
         values[entry.fault.group] |= entry.sets
     made = Conditions(**{key: getattr(_USUAL, key)._replace(**new) for key, new in values.items()})
@@ -528,7 +530,9 @@ def conditions_of(parameters: Readable, lasting: Iterable["Entry"] = ()) -> Cond
 
 def faults_page() -> str:
     """The table of docs/reference/faults.md."""
-    same = {(each.group, each.key): f"`{each.name}`" for each in reversed(ASKING)}
+    same = {
+        (parameter.group, parameter.key): f"`{parameter.name}`" for parameter in reversed(ASKING)
+    }
     rows = ["| fault | parameters that do the same | what it does |\n|---|---|---|\n"]
     for fault in FAULTS:
         names = [same[at] for key in fault.sets if (at := (fault.group, key)) in same]
@@ -586,18 +590,18 @@ class Timeline:
         if entry.fault.name == COMPANION_OFF:
             rule = "needs a companion, and only campaigns fly one"
             raise InputError(entry.where, COMPANION_OFF, rule, "Leave the line out.")
-        bisect.insort(self._entries, entry, key=lambda each: each.at_us)
+        bisect.insort(self._entries, entry, key=lambda entry: entry.at_us)
         self.next_us = min(self.next_us, entry.at_us)
 
     def step(self, now_us: int) -> list[Happening]:
         """Go on to this time of the simulation; returns what happens once, in order."""
-        begun = [each for each in self._entries if each.at_us <= now_us]
-        self._entries = [each for each in self._entries if each.until_us > now_us]
-        self.lasting = [each for each in begun if each.until_us > now_us]
-        times_us = [t for each in self._entries for t in each[:2] if t > now_us]
+        begun = [entry for entry in self._entries if entry.at_us <= now_us]
+        self._entries = [entry for entry in self._entries if entry.until_us > now_us]
+        self.lasting = [entry for entry in begun if entry.until_us > now_us]
+        times_us = [t for entry in self._entries for t in entry[:2] if t > now_us]
         self.next_us = min(times_us, default=NEVER_US)
-        once = [each for each in begun if each.fault.once]
-        return [Happening(**{"name": each.fault.name} | each.sets) for each in once]
+        once = [entry for entry in begun if entry.fault.once]
+        return [Happening(**{"name": entry.fault.name} | entry.sets) for entry in once]
 
 
 def entries(text: str, name: str = "timeline") -> list[Entry]:

@@ -86,15 +86,15 @@ class FlightController:
         due, built = self.streams.due(self.now_us), dict[int, Sequence[Any]]()
         for link, number in due:
             if number not in built:
-                built[number] = self.telemetry.said(number)
+                built[number] = self.telemetry.messages(number)
             if number != _CURRENT_MODE or self._is_news(built[number], link):
                 self._send(built[number], (link,))
         return (0, _POSITION) in due
 
     def _is_news(self, mode: Any, link: int) -> bool:
         """CURRENT_MODE is sent at 2 Hz and at once on a change, however often it is asked for."""
-        told, told_us = self._mode_told.get(link, (None, 0))
-        if told == mode and self.now_us - told_us < _CURRENT_MODE_US:
+        mode_told, told_us = self._mode_told.get(link, (None, 0))
+        if mode_told == mode and self.now_us - told_us < _CURRENT_MODE_US:
             return False
         self._mode_told[link] = mode, self.now_us
         return True
@@ -114,14 +114,14 @@ class FlightController:
                     self._say(reply)
                 case values.SendTelemetry(number, to):
                     self.telemetry.now(self.now_us)
-                    self._send(self.telemetry.said(number), None if to is None else (to.link,))
+                    self._send(self.telemetry.messages(number), None if to is None else (to.link,))
                 case SendMessage(message, to):
                     self.radio.send(message, None if to is None else (to.link,))
                 case values.Reboot():
                     self.wants_reboot = True
 
-    def _send(self, said: Iterable[Any], links: Iterable[int] | None) -> None:
-        for message in said:
+    def _send(self, messages: Iterable[Any], links: Iterable[int] | None) -> None:
+        for message in messages:
             self.radio.send(message, links)
 
     def _say(self, text: Text) -> None:
@@ -202,10 +202,10 @@ def command(message: Any, sender: Sender) -> Command:
 
 def texts(value: Text, number: int) -> list[Prepared]:
     """STATUSTEXT; what does not fit into one goes on in chunks of this number, to a zero byte."""
-    said, severity, size = value.text.encode("ascii", "replace"), value.severity, _TEXT_BYTES
-    if len(said) <= size:
-        return [make("STATUSTEXT", severity, said)]
-    parts = [said[start : start + size] for start in range(0, len(said) + 1, size)]
+    text, severity, size = value.text.encode("ascii", "replace"), value.severity, _TEXT_BYTES
+    if len(text) <= size:
+        return [make("STATUSTEXT", severity, text)]
+    parts = [text[start : start + size] for start in range(0, len(text) + 1, size)]
     return [make("STATUSTEXT", severity, part, number, k) for k, part in enumerate(parts)]
 
 

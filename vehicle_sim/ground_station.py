@@ -17,28 +17,28 @@ from vehicle_sim.plans import CIRCLE_OUT, PlanItem
 STATION: Final = Sender(system=255, component=190)
 
 
-def order(said: Happening, vehicle: Vehicle, system: int, component: int) -> Any:
+def order(happening: Happening, vehicle: Vehicle, system: int, component: int) -> Any:
     """The command that a line names, or DO_REPOSITION to so far from the vehicle, at its height."""
     to = (system, component)
-    if said.command:
-        given = (said.command, 0, said.p1, said.p2, said.p3, 0.0, 0.0, 0.0, 0.0)
+    if happening.command:
+        given = (happening.command, 0, happening.p1, happening.p2, happening.p3, 0.0, 0.0, 0.0, 0.0)
         return mavlink.MAVLink_command_long_message(*to, *given)
-    place = (*_beside(vehicle, *said.by_m[:2]), vehicle.altitude_amsl_m)
+    place = (*_beside(vehicle, *happening.by_m[:2]), vehicle.altitude_amsl_m)
     what = (mavlink.MAV_FRAME_GLOBAL_INT, mavlink.MAV_CMD_DO_REPOSITION, 0, 0)
     return mavlink.MAVLink_command_int_message(*to, *what, -1.0, 0.0, 0.0, math.nan, *place)
 
 
-def new_fence(said: Happening, vehicle: Vehicle) -> PlanItem:
+def new_fence(happening: Happening, vehicle: Vehicle) -> PlanItem:
     """A circle to stay out of, so far ahead of the vehicle (true course) or about it."""
     north, east, _ = vehicle.velocity_neu_m_s
-    share = said.ahead_m / max(math.hypot(north, east), 1e-6)
+    share = happening.ahead_m / max(math.hypot(north, east), 1e-6)
     x, y = _beside(vehicle, share * north, share * east)
-    circle = (said.radius_m, 0.0, 0.0, 0.0)
+    circle = (happening.radius_m, 0.0, 0.0, 0.0)
     return PlanItem(frame=0, command=CIRCLE_OUT, parameters=circle, x=x, y=y)
 
 
 def _beside(vehicle: Vehicle, north_m: float, east_m: float) -> tuple[int, int]:
     """Latitude and longitude, 1e-7 degrees."""
-    here = LocalFrame(latitude_deg=vehicle.latitude_deg, longitude_deg=vehicle.longitude_deg)
-    latitude_deg, longitude_deg = here.to_geographic(north_m, east_m)
+    frame = LocalFrame(latitude_deg=vehicle.latitude_deg, longitude_deg=vehicle.longitude_deg)
+    latitude_deg, longitude_deg = frame.to_geographic(north_m, east_m)
     return round(latitude_deg * 1e7), round(longitude_deg * 1e7)

@@ -52,8 +52,8 @@ class Endpoint:
 
 def parse_endpoint(text: str) -> Endpoint:
     """KIND:HOST:PORT, or KIND://HOST:PORT; InputError says what is wrong with it."""
-    found = _FORM.fullmatch(text)
-    kind, host, port = found.groups() if found else ("", "", "0")
+    match = _FORM.fullmatch(text)
+    kind, host, port = match.groups() if match else ("", "", "0")
     if int(port) > _LAST_PORT or (int(port) == 0 and kind not in ("udpin", "tcpin")):
         rule = "must be udpout:HOST:PORT, udpin:HOST:PORT or tcpin:HOST:PORT, an IPv6 HOST in []"
         raise InputError("--connect", text, rule, "Try udpout:127.0.0.1:14540.")
@@ -67,11 +67,11 @@ class Link:
 
     def __init__(self, endpoint: Endpoint) -> None:
         self._endpoint = endpoint
-        found = socket.getaddrinfo(endpoint.host, endpoint.port, type=self._type)[0]
-        self._socket = socket.socket(*found[:3])
+        address = socket.getaddrinfo(endpoint.host, endpoint.port, type=self._type)[0]
+        self._socket = socket.socket(*address[:3])
         self._socket.setblocking(False)
         try:
-            self._attach(found[4])
+            self._attach(address[4])
         except OSError:
             self._socket.close()
             raise

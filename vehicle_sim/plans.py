@@ -66,7 +66,7 @@ def zones_of(items: Sequence[PlanItem]) -> list[Sequence[PlanItem]]:
         is_circle = command in (CIRCLE_IN, CIRCLE_OUT) and size > 0.0
         is_polygon = command in (POLYGON_IN, POLYGON_OUT) and 3.0 <= size < len(items) - at + 1.0
         zone = items[at : at + (int(size) if is_polygon else 1)]
-        if is_circle or (is_polygon and all(each.command == command for each in zone)):
+        if is_circle or (is_polygon and all(item.command == command for item in zone)):
             zones.append(zone)
             at += len(zone)
         else:

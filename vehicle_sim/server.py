@@ -25,7 +25,7 @@ _STEPS_DEAF = 10
 def stopping_on_signals() -> Iterator[Event]:
     """Set by SIGINT and SIGTERM, even where a shell started us with SIGINT ignored."""
     stop, ends = Event(), (signal.SIGINT, signal.SIGTERM)
-    before = [(each, signal.signal(each, lambda *_: stop.set())) for each in ends]
+    before = [(number, signal.signal(number, lambda *_: stop.set())) for number in ends]
     try:
         yield stop
     finally:
@@ -67,9 +67,9 @@ class Server:
             return []
         until_us = self.duration_s * 1e6
         return [
-            each
-            for each in self.stations.simulations
-            if each.now_us < until_us and not (self.lockstep and each.companion_ended)
+            simulation
+            for simulation in self.stations.simulations
+            if simulation.now_us < until_us and not (self.lockstep and simulation.companion_ended)
         ]
 
     def _write(self) -> None:

@@ -117,10 +117,10 @@ class Simulation:
             rng = generator(seed, "radar")
             self._scanner = RadarComponent(radar, rng, self._radio, scanner.component_id)
         self._lidars = list[tuple[Lidar, LidarDriver | None]]()
-        for each, name in zip(lidars, ("lidar", "second lidar"), strict=False):
-            lidar, driver = Lidar(scene, each, generator(seed, name)), None
-            if each.output == "driver":
-                driver = LidarDriver(lidar, each, generator(seed, f"{name} driver"), self._radio)
+        for fitted, name in zip(lidars, ("lidar", "second lidar"), strict=False):
+            lidar, driver = Lidar(scene, fitted, generator(seed, name)), None
+            if fitted.output == "driver":
+                driver = LidarDriver(lidar, fitted, generator(seed, f"{name} driver"), self._radio)
             self._lidars.append((lidar, driver))
         own_lidar = {"PRX1_TYPE": RPLIDAR} if any(d is None for _, d in self._lidars) else {}
         self._boot(own_lidar | overrides_of(table))
@@ -141,7 +141,7 @@ class Simulation:
         self.parameters: Parameters = autopilot.parameters
         """The autopilot's; a reboot makes new ones."""
         self._radio.router.boot_as(*ids_of(self._personality, self.parameters))
-        own = [each for each in self._world.lidars if each.output == "autopilot"]
+        own = [lidar for lidar in self._world.lidars if lidar.output == "autopilot"]
         limits_m = (own[0].min_m, own[0].range_m) if own else (0.0, 0.0)
         self._controller = FlightController(
             autopilot,
@@ -204,15 +204,15 @@ class Simulation:
     def outcome(self) -> str:
         """Where it is and what it does, in a few words."""
         (north_m, east_m), crash = self.contact.local_m, self.crash
-        said = (
+        words = (
             f"{round(north_m)} m north, {round(east_m)} m east, "
             f"{self.vehicle.altitude_amsl_m:.0f} m AMSL, {self.mode_name}, "
             f"{'armed' if self.armed else 'disarmed'}, "
             f"{'on the ground' if self.landed else 'in the air'}"
         )
         if crash is None:
-            return said
-        return f"{said}; it hit {crash.into} at {crash.speed_m_s:.1f} m/s, {crash.t_s:.1f} s"
+            return words
+        return f"{words}; it hit {crash.into} at {crash.speed_m_s:.1f} m/s, {crash.t_s:.1f} s"
 
     # --- out ----------------------------------------------------------------------------------
 
@@ -232,9 +232,9 @@ class Simulation:
 
     def send_heartbeat(self) -> None:
         """Send all heartbeats now: time stands still until somebody answers."""
-        for each in (self._controller, self._scanner, *(driver for _, driver in self._lidars)):
-            if each is not None:
-                each.send_heartbeat()
+        for part in (self._controller, self._scanner, *(driver for _, driver in self._lidars)):
+            if part is not None:
+                part.send_heartbeat()
 
     def begin(self) -> None:
         """Reset the frame counters: the number of heartbeats before depends on wall time."""
@@ -306,26 +306,26 @@ class Simulation:
         controller.ranging.rangefinder_off = now.autopilot.rangefinder_off
         self._radio.impair(now.link)
 
-    def _happens(self, said: Happening) -> None:
+    def _happens(self, happening: Happening) -> None:
         """A fault that happens once."""
         controller, autopilot = self._controller, self._controller.autopilot
-        match said.name:
+        match happening.name:
             case "estimator_reset":
-                autopilot.estimate.shift(*said.by_m[:2])
+                autopilot.estimate.shift(*happening.by_m[:2])
             case "origin_move":
-                controller.answer(autopilot.move_origin(*said.by_m))
+                controller.answer(autopilot.move_origin(*happening.by_m))
             case "pilot":
                 autopilot.set_mode(autopilot.firmware.pilot)
             case "reboot":
                 self._go_down()
             case "ground_fence":
-                controller.add_to_fence(ground_station.new_fence(said, self.vehicle))
-            case _ if said.to_autopilot:
-                order = ground_station.order(said, self.vehicle, *self._radio.router.ids)
+                controller.add_to_fence(ground_station.new_fence(happening, self.vehicle))
+            case _ if happening.to_autopilot:
+                order = ground_station.order(happening, self.vehicle, *self._radio.router.ids)
                 controller.receive(order, ground_station.STATION, self.now_us)
             case _:
                 to = self.system_id, self.companion.component if self.companion else 0
-                order = ground_station.order(said, self.vehicle, *to)
+                order = ground_station.order(happening, self.vehicle, *to)
                 self._radio.send(order, source=ground_station.STATION[:2])
 
     # --- time ---------------------------------------------------------------------------------
@@ -336,8 +336,8 @@ class Simulation:
         if now_us >= self._timeline.next_us:
             happening = self._timeline.step(now_us)
             self._refresh()
-            for each in happening:
-                self._happens(each)
+            for event in happening:
+                self._happens(event)
         elif self.parameters.version != self._seen_version:
             self._refresh()
         if self._radio.impaired:

@@ -68,7 +68,7 @@ class Stations:
         """
         begun_s = asked_s = time.monotonic()
         while not self.stop.is_set():
-            waiting = [each for each in self.simulations if each.waits]
+            waiting = [simulation for simulation in self.simulations if simulation.waits]
             if not waiting:
                 return
             meanwhile()
@@ -78,8 +78,8 @@ class Stations:
                 raise SimulatorError(_silence(waiting[0], patience_s))
             if now_s - asked_s >= every_s:
                 asked_s = now_s
-                for each in waiting:
-                    each.ask_again()
+                for simulation in waiting:
+                    simulation.ask_again()
                 self.send()
 
 

@@ -246,8 +246,8 @@ class GridTerrain:
 def _between(values: NDArray[Any], at: FloatArray) -> FloatArray:
     """Bilinear interpolation, as at the edge beyond it.  (R, C), (2, ...) -> (...)."""
     between = scipy.ndimage.map_coordinates
-    found: FloatArray = between(values, at, output=np.float64, order=1, mode="nearest")
-    return found
+    heights: FloatArray = between(values, at, output=np.float64, order=1, mode="nearest")
+    return heights
 
 
 Terrain = PeakTerrain | GridTerrain

@@ -44,8 +44,8 @@ class Moment(NamedTuple):
 
     def away_m(self, latitude_deg: float, longitude_deg: float) -> float:
         """Over the ground to a place."""
-        here = (self.longitude_deg, self.latitude_deg)
-        return float(WGS84.inv(*here, longitude_deg, latitude_deg)[2])
+        place = (self.longitude_deg, self.latitude_deg)
+        return float(WGS84.inv(*place, longitude_deg, latitude_deg)[2])
 
 
 @final

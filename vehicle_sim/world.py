@@ -341,8 +341,8 @@ class World(_Table):
     def model_post_init(self, _: object) -> None:
         """Check what goes together."""
         _must(self.terrain.file is None or self.area is not None, "area", None, *_MISSING)
-        drivers = [each for each in self.lidars if each.output == "driver"]
-        ids = [each.component_id for each in (self.scanner, *drivers) if each]
+        drivers = [lidar for lidar in self.lidars if lidar.output == "driver"]
+        ids = [component.component_id for component in (self.scanner, *drivers) if component]
         one_each = len(ids) == len(set(ids))
         rule = "is another lidar's or the terrain radar's too"
         _must(one_each, "lidar.component_id", ids[-1:], rule, "Choose another.")
@@ -353,7 +353,7 @@ class World(_Table):
     @property
     def lidars(self) -> tuple[LidarTable, ...]:
         """All on board."""
-        return tuple(each for each in (self.lidar, self.second_lidar) if each is not None)
+        return tuple(lidar for lidar in (self.lidar, self.second_lidar) if lidar is not None)
 
     @property
     def frame(self) -> LocalFrame:
@@ -412,7 +412,7 @@ def parse_world(table: dict[str, Any]) -> World:
         return World.model_validate(table)
     except ValidationError as error:
         # A misspelt key is both unknown and missing: the unknown one tells the user more.
-        problem = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
+        problem = min(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
     kind, value = problem["type"], problem["input"]
     field = ".".join(map(str, problem["loc"]))
     if kind == "missing":
@@ -422,7 +422,7 @@ def parse_world(table: dict[str, Any]) -> World:
         raise InputError(".".join(filter(None, (field, key))), *rest)
     if kind == "extra_forbidden":
         tables = World.model_json_schema()["$defs"].values()
-        known = {*World.model_fields, *(key for each in tables for key in each["properties"])}
+        known = {*World.model_fields, *(key for table in tables for key in table["properties"])}
         remedy = did_you_mean(field.rpartition(".")[2], known, "Leave it out.")
         raise InputError(field, value, "no such key", remedy)
     what, _, rule = problem["msg"].rpartition(" should ")

@@ -81,7 +81,7 @@ def run_command(
     source = [campaign if campaign in bundled_campaigns() else str(Path(campaign).absolute())]
     source += [] if seeds is None else ["--seeds", str(seeds)]
     store = Store(path, text=text, digest=digest, count=len(runs), source=source)
-    todo = [each for each in runs if each.number not in store.done]
+    todo = [run for run in runs if run.number not in store.done]
     if len(todo) < len(runs):
         console.print(f"{len(runs) - len(todo)} of {len(runs)} runs are there already")
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
@@ -94,7 +94,7 @@ def run_command(
             for row in rows:
                 store.add(row)
                 counts[_what(row)] += 1
-                bar.update(shown, advance=1, said=_said(counts))
+                bar.update(shown, advance=1, said=_counted(counts))
     except KeyboardInterrupt:
         there = f"{len(store.done)} of {len(runs)} runs are there"
         console.print(f"stopped: {there}. The same command goes on.")
@@ -104,8 +104,8 @@ def run_command(
         remedy = f"Make room: the same command goes on from {len(store.done)} of {len(runs)} runs."
         raise InputError("--out", str(path), rule, remedy) from error
     took_s = time.perf_counter() - began_s
-    said = _said(counts) or "nothing to do"
-    console.print(f"{len(todo)} runs in {took_s:.0f} s: {said}", highlight=False)
+    summary = _counted(counts) or "nothing to do"
+    console.print(f"{len(todo)} runs in {took_s:.0f} s: {summary}", highlight=False)
     console.out(f"campaign: {path}", highlight=False)
 
 
@@ -127,7 +127,7 @@ def _what(row: Row) -> str:
     return "arrived" if row["arrived"] else "not arrived"
 
 
-def _said(counts: Counter[str]) -> str:
+def _counted(counts: Counter[str]) -> str:
     return ", ".join(f"{count} {name}" for name, count in sorted(counts.items()))
 
 

@@ -83,13 +83,13 @@ def _lines(row: str, vehicle: str, speed_m_s: float, rng: np.random.Generator) -
     gale = "9.0" if kind == "copter" else "7.0"
     row = row.format(gale=gale, returns=returns, guided=guided)
 
-    def number(found: re.Match[str]) -> str:
-        low, high, scale = found.groups()
+    def number(match: re.Match[str]) -> str:
+        low, high, scale = match.groups()
         value = {"": 1.0, "L": size, "V": speed_m_s}[scale] * rng.uniform(float(low), float(high))
         return f"{value:.{len(high.partition('.')[2])}f}"
 
     at_s, lines = rng.uniform(_FROM_S, _UNTIL_S[kind]), list[str]()
-    row = _CHOICE.sub(lambda found: str(rng.choice(found[1].split("|"))), row)
+    row = _CHOICE.sub(lambda match: str(rng.choice(match[1].split("|"))), row)
     for line in filter(None, _RANGE.sub(number, row).split("; ")):
         after, _, what = " ".join(line.split()).rpartition(": ")
         what, lasts, length = what.partition(" for ")

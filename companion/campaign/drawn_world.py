@@ -117,10 +117,10 @@ def scaled(world: DrawnWorld, by: float) -> DrawnWorld:
 def _scaled(value: Any, by: float, name: str) -> Any:
     """A value with all that it holds; names say what a length or a speed is."""
     if is_dataclass(value) and not isinstance(value, type):
-        parts = {each.name: getattr(value, each.name) for each in fields(value) if each.init}
+        parts = {field.name: getattr(value, field.name) for field in fields(value) if field.init}
         return replace(value, **{name: _scaled(part, by, name) for name, part in parts.items()})
     if isinstance(value, tuple):
-        return tuple(_scaled(each, by, name) for each in value)
+        return tuple(_scaled(item, by, name) for item in value)
     is_length = isinstance(value, (float, np.ndarray)) and name.endswith(("_m", "_m_s", "_m_s2"))
     return value * by if is_length else value
 

@@ -26,8 +26,10 @@ def fly(runs: Sequence[Run], out: Path, scheduler: str | None, jobs: int) -> Gen
 
     OSError: there is no room for a folder.  InputError: no scheduler answers there.
     """
-    with closing(worked(partial(fly_run, out=out), runs, scheduler=scheduler, jobs=jobs)) as found:
-        for number, row in found:
+    with closing(
+        worked(partial(fly_run, out=out), runs, scheduler=scheduler, jobs=jobs)
+    ) as results:
+        for number, row in results:
             if isinstance(row, OSError) and row.errno is not None:
                 raise row  # no room for its folder: no result of the run
             if isinstance(row, Exception):
@@ -57,15 +59,15 @@ def worked(
         numbers = {future.key: number for number, future in enumerate(futures)}
         for future in as_completed(futures):
             if future.status == "finished":
-                found = future.result()
+                result = future.result()
             elif future.status == "error":
-                found = future.exception()
-                if isinstance(found, KilledWorker):
-                    found = CompanionError(f"its worker died {_RETRIES} times and more")
+                result = future.exception()
+                if isinstance(result, KilledWorker):
+                    result = CompanionError(f"its worker died {_RETRIES} times and more")
             else:
                 text = "the Dask scheduler is gone, or has cancelled the campaign"
                 raise FlightInterrupted(text, "Give the same command again to go on.")
-            yield numbers[future.key], found
+            yield numbers[future.key], result
             future.release()
 
 

@@ -71,9 +71,9 @@ class Simulator(Protocol):
 def simulator() -> Simulator:
     """The one that is installed; InputError if none is."""
     for point in entry_points(group="companion.vehicles"):
-        found: Simulator = point.load()
-        if hasattr(found, "ways"):  # of an older installation it is not the module
-            return found
+        module: Simulator = point.load()
+        if hasattr(module, "ways"):  # of an older installation it is not the module
+            return module
     rule, remedy = "no package brings one", "Install the project again: pip install ."
     raise InputError("companion.vehicles", None, rule, remedy)
 
@@ -100,7 +100,7 @@ class Flight:
     truth: list[dict[str, Any]]
     """Where the vehicle really was."""
     plans_s: list[float]
-    told: FloatArray
+    reported: FloatArray
     """Positions that the companion was told: when, of what time, north, east, altitude; (K, 5)."""
 
 
@@ -125,7 +125,7 @@ class Flying:
         self._seed, self._limit_s = seed, limit_s
         self.flies = True
         """Whether its mission has not ended."""
-        self._told = list[tuple[float, ...]]()
+        self._reported = list[tuple[float, ...]]()
         self._begin()
 
     def _begin(self, *, again: bool = False) -> None:
@@ -170,9 +170,9 @@ class Flying:
         while self.flies and self._vehicle.now_us < until_us:
             self.flies = next(self._turns, self) is not self
             vehicle = self.loop.session.state.vehicle
-            is_news = not self._told or vehicle.position_at_s != self._told[-1][1]
+            is_news = not self._reported or vehicle.position_at_s != self._reported[-1][1]
             if vehicle.position_nea_m is not None and is_news:
-                self._told.append((self.now_s, vehicle.position_at_s, *vehicle.position_nea_m))
+                self._reported.append((self.now_s, vehicle.position_at_s, *vehicle.position_nea_m))
             if self.loop.clock() > 2.0 * self._limit_s:
                 text = f"the flight did not end when it was stopped after {self._limit_s:g} s"
                 raise TimeoutError(text)
@@ -194,7 +194,7 @@ class Flying:
             journal=_lines_with("kind", folder / "journal.jsonl"),
             truth=_lines_with("t_s", folder / "truth.jsonl"),
             plans_s=self.loop.flown.plans_s,
-            told=np.array(self._told).reshape(-1, 5),
+            reported=np.array(self._reported).reshape(-1, 5),
         )
 
 
@@ -208,12 +208,12 @@ def fly_here(files: FlightFiles, *, seed: int, limit_s: float) -> Flight:
     """Both in this process; a companion that is killed is resumed from its folder."""
     flying = Flying(files, seed=seed, limit_s=limit_s)
     try:
-        happening = sorted(simulator().entries(files.faults), key=lambda each: each.at_us)
-        for each in happening:
-            if each.fault.name == _KILLED:
-                flying.fly_on(each.at_us)
+        happening = sorted(simulator().entries(files.faults), key=lambda entry: entry.at_us)
+        for entry in happening:
+            if entry.fault.name == _KILLED:
+                flying.fly_on(entry.at_us)
                 if flying.flies:
-                    flying.die(1e-6 * (each.until_us - each.at_us))
+                    flying.die(1e-6 * (entry.until_us - entry.at_us))
         flying.fly_on(math.inf)
     finally:
         flying.close()

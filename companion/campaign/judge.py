@@ -60,14 +60,14 @@ _NO_END: Final = {"outcome": "not ended", "reason": "the companion has not said 
 
 def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str, Any]:
     """The columns of a row.  timeline: what goes wrong in the flight; None: nothing does."""
-    found, is_cut = _came_to(flight, drawn), False
+    columns, is_cut = _came_to(flight, drawn), False
     done = simulator().entries(timeline) if timeline else []
     if timeline is not None:
         flight, is_cut = _until_stopped(flight)
     track = _in_the_air(flight, drawn)
-    found |= _of_flight(track, flight, drawn)
+    columns |= _of_flight(track, flight, drawn)
     if timeline is None and not len(track.t_s):
-        return found
+        return columns
     known, excused = list[str](), list[str]()
     excuses = {} if timeline is None else _excuses(flight, track, drawn, done)
     is_excused = np.any([np.zeros(len(track.t_s), dtype=bool), *excuses.values()], axis=0)
@@ -91,8 +91,8 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str,
             known.append(f"{ending}: {reason}")
         elif not done and ending not in _THERE:
             known.append(f"{ending} with nothing wrong: {reason}")
-        found["ending"], found["excused"] = ending, "; ".join(excused) or None
-        found["reason"] = None if ending == "arrived" else reason or None
+        columns["ending"], columns["excused"] = ending, "; ".join(excused) or None
+        columns["reason"] = None if ending == "arrived" else reason or None
     count = len(known)
     if flight.mission.near is None:
         ready = _entries(flight, kind="plan ready")
@@ -103,8 +103,8 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str,
         of_subpaths = checked(subpaths, drawn, bounds=_OF_SHAPE, whole=before)
         count += of_subpaths["violations"]
         known += filter(None, [of_subpaths["violated"]])
-        found = of_subpaths | found
-    return found | {"violations": count, "violated": "; ".join(known) or None}
+        columns = of_subpaths | columns
+    return columns | {"violations": count, "violated": "; ".join(known) or None}
 
 
 def _entries(flight: Flight, **like: str) -> list[dict[str, Any]]:
@@ -146,12 +146,12 @@ def _of_flight(track: "_Track", flight: Flight, drawn: DrawnWorld) -> dict[str, 
     if flown.sum() < 2:
         return {}
     t_s, away_m = track.t_s[flown], track.away_m[flown]
-    found = of_track(track.points_nea_m[flown], drawn) | {"flight_s": float(t_s[-1] - t_s[0])}
+    columns = of_track(track.points_nea_m[flown], drawn) | {"flight_s": float(t_s[-1] - t_s[0])}
     least = int(np.argmin(away_m))
     if math.isfinite(away_m[least]):
-        found["clearance_least_m"] = float(away_m[least])
-        found["clearance_least_t_s"] = float(t_s[least])
-    return found
+        columns["clearance_least_m"] = float(away_m[least])
+        columns["clearance_least_t_s"] = float(t_s[least])
+    return columns
 
 
 # --- what was planned, and what was flown
@@ -228,7 +228,7 @@ class _Track:
     points_nea_m: FloatArray
     lands: BoolArray
     """Whether it lands or returns by itself: the ground may be near then."""
-    ours: BoolArray
+    has_a_say: BoolArray
     """Whether the companion has a say."""
     away_m: FloatArray
     """To the ground, or to the nearest of near things; infinite while it lands."""
@@ -253,7 +253,7 @@ def _in_the_air(flight: Flight, drawn: DrawnWorld) -> _Track:
         t_s=np.array([row["t_s"] for row in rows]),
         points_nea_m=points,
         lands=lands,
-        ours=_ours(rows, flight),
+        has_a_say=_has_a_say(rows, flight),
         away_m=np.where(lands, np.inf, away_m),
         begun_s=_first_s(_entries(flight, kind="leg"), -math.inf),
     )
@@ -269,21 +269,21 @@ def _airborne_s(flight: Flight) -> float:
     return _first_s(_entries(flight, phase="flying"), math.inf)
 
 
-def _ours(rows: Sequence[dict[str, Any]], flight: Flight) -> BoolArray:
+def _has_a_say(rows: Sequence[dict[str, Any]], flight: Flight) -> BoolArray:
     """Whether the companion has a say: the mode is guided, or the one that it asked for last; (N,).
 
     A mode that was taken away is not given back by the autopilot's own failsafe being over: the
     companion has let go, and goes on only when it is told to (design 7).
     """
     asked = [(-math.inf, ""), *((e["t_s"], e["mode"]) for e in _entries(flight, kind="set mode"))]
-    ours, taken_s = [], -math.inf
+    has_a_say, taken_s = [], -math.inf
     for row in rows:
-        newest = bisect.bisect_right(asked, row["t_s"], key=lambda each: each[0]) - 1
+        newest = bisect.bisect_right(asked, row["t_s"], key=lambda entry: entry[0]) - 1
         asked_s, wanted = asked[newest]
         obeyed = row["mode"] in _BY_ORDER.get(wanted, ()) and asked_s >= taken_s
-        ours.append(row["mode"] in GUIDED or obeyed)
-        taken_s = taken_s if ours[-1] else row["t_s"]
-    return np.array(ours, dtype=bool)
+        has_a_say.append(row["mode"] in GUIDED or obeyed)
+        taken_s = taken_s if has_a_say[-1] else row["t_s"]
+    return np.array(has_a_say, dtype=bool)
 
 
 # --- what the companion could not know or had no say in
@@ -294,15 +294,15 @@ def _excuses(
 ) -> dict[str, BoolArray]:
     """Why something does not count against it, and when; (N,) each."""
     t_s, known = track.t_s, dict[str, BoolArray]()
-    for each in done:
-        row = each.fault.known
-        if row.excuse and each.sets.get(row.excuse_needs, True):
-            since = t_s >= each.at_us / 1e6
+    for entry in done:
+        row = entry.fault.known
+        if row.excuse and entry.sets.get(row.excuse_needs, True):
+            since = t_s >= entry.at_us / 1e6
             known[row.excuse] = since | known.get(row.excuse, since)
     is_off = _off_m(flight, t_s) > drawn.task.limits.navigation_error_m
     return {
         "the position was wrong": _lately(t_s, is_off),
-        "somebody else flew": _lately(t_s, ~track.ours),
+        "somebody else flew": _lately(t_s, ~track.has_a_say),
         **dict(sorted(known.items())),
     }
 
@@ -315,13 +315,13 @@ def _lately(t_s: FloatArray, is_so: BoolArray) -> BoolArray:
 
 def _off_m(flight: Flight, t_s: FloatArray) -> FloatArray:
     """How far the position that was told last lay off the truth of its own time; (N,)."""
-    if not len(flight.told):
+    if not len(flight.reported):
         return np.zeros(len(t_s))
-    told_s, of_s, *told = flight.told.T
+    told_s, of_s, *reported = flight.reported.T
     times = [row["t_s"] for row in flight.truth]
     true = [np.interp(of_s, times, values) for values in _points(flight.truth).T]
     newest = np.searchsorted(told_s, t_s, side="right") - 1
-    return np.linalg.norm(np.subtract(told, true), axis=0)[np.maximum(newest, 0)]
+    return np.linalg.norm(np.subtract(reported, true), axis=0)[np.maximum(newest, 0)]
 
 
 # --- too near
@@ -352,11 +352,11 @@ def _brought(
     what: str, flight: Flight, done: Sequence[Happening]
 ) -> Iterator[tuple[float, dict[str, Any], Mapping[str, Any]]]:
     """When a ground station told of one more, the truth then, and what its line sets."""
-    for each in done:
-        at_s = each.at_us / 1e6
+    for entry in done:
+        at_s = entry.at_us / 1e6
         row = next((row for row in flight.truth if row["t_s"] >= at_s - 1e-3), None)
-        if each.fault.known.brings == what and row is not None:
-            yield at_s, row, each.sets
+        if entry.fault.known.brings == what and row is not None:
+            yield at_s, row, entry.sets
 
 
 def _could_leave(gap_m: FloatArray, track: _Track, known_s: float, drawn: DrawnWorld) -> BoolArray:
@@ -372,7 +372,7 @@ def _could_leave(gap_m: FloatArray, track: _Track, known_s: float, drawn: DrawnW
     depth_m = max(drawn.task.settings.safety_distance_m - float(gap_m[known][0]), 0.0)
     takes_s = _GRACE_S + (math.tau * limits.loiter_radius_m + 2.0 * depth_m) / limits.speed_m_s
     passed_s = np.diff(track.t_s, prepend=track.t_s[:1])
-    led_s = np.cumsum(np.where(known & track.ours, passed_s, 0.0))
+    led_s = np.cumsum(np.where(known & track.has_a_say, passed_s, 0.0))
     is_out = known & (gap_m >= drawn.task.settings.safety_distance_m) & limits.hovers
     return known & ((led_s >= takes_s) | np.maximum.accumulate(is_out))
 
@@ -405,8 +405,8 @@ def _ending(
     end = next(iter(_entries(flight, kind="end")), None)
     if end is None and not is_cut:
         return "unexplained: no end", "the journal has none"
-    said = [e for e in _entries(flight, kind="phase") if e["phase"] != "done"]
-    phase, reason = (said[-1]["phase"], said[-1].get("reason")) if said else ("", None)
+    phases = [e for e in _entries(flight, kind="phase") if e["phase"] != "done"]
+    phase, reason = (phases[-1]["phase"], phases[-1].get("reason")) if phases else ("", None)
     reason = (end["reason"] if end else None) or reason or ""
     if all(row["landed"] for row in flight.truth):
         return ("refused", reason) if reason else ("unexplained: never flew", phase)
@@ -416,7 +416,7 @@ def _ending(
         if (miss_m := _miss_m(flight, done)) > _ARRIVED_M + 1.3 * circle_m:
             return "unexplained: arrived elsewhere", f"{miss_m:.0f} m off"
         airborne_s = _airborne_s(flight)
-        held = any(e["phase"] == "holding" and e["t_s"] > airborne_s for e in said)
+        held = any(e["phase"] == "holding" and e["t_s"] > airborne_s for e in phases)
         return ("held and resumed" if held else "arrived"), reason
     if is_cut and phase not in ("holding", "landing"):
         return "unexplained: flies on", f"{phase}: {reason}"
@@ -424,7 +424,7 @@ def _ending(
         return "unexplained: no reason", f"{phase}, {mode}"
     disarmed = reason == Reason.DISARMED.text  # in the last tick: no truth came after it
     if last["landed"] or not last["armed"] or disarmed:
-        may_fall = any(each.fault.known.may_fall for each in done)
+        may_fall = any(entry.fault.known.may_fall for entry in done)
         return ("fell" if may_fall else "landed"), reason
     if mode in LANDS | RETURNS:
         return ("landed" if mode in LANDS else "returned"), reason
@@ -433,9 +433,9 @@ def _ending(
     # when no command could have reached the autopilot, or nobody was there to send one
     end_us = 1e6 * end["t_s"] if end else math.inf
     out_of_reach = any(
-        each.at_us <= end_us < (math.inf if each.fault.once else each.until_us)
-        for each in done
-        if each.fault.known.out_of_reach
+        entry.at_us <= end_us < (math.inf if entry.fault.once else entry.until_us)
+        for entry in done
+        if entry.fault.known.out_of_reach
     )
     held = mode in HOLDS or is_cut or out_of_reach or not drawn.task.limits.hovers
     return ("held for good" if held else "unexplained: left in guided mode"), reason
@@ -447,6 +447,6 @@ def _miss_m(flight: Flight, done: Sequence[Happening]) -> float:
     for _, row, sets in _brought("target", flight, done):  # which it may have refused, in words
         north_m, east_m, _ = sets["by_m"]
         targets.append((row["north_m"] + north_m, row["east_m"] + east_m))
-    if not len(flight.told):
+    if not len(flight.reported):
         return math.inf
-    return min(math.dist(flight.told[-1, 2:4], target) for target in targets)
+    return min(math.dist(flight.reported[-1, 2:4], target) for target in targets)

@@ -101,12 +101,12 @@ def report_of(campaign: Campaign, by: Sequence[str] = ()) -> Report:
             notes.append(f"{factor} has {count} values; a table by it: --by {factor}.")
     figures = groups(rows, ())
     tables = [_of_groups(figures)]
-    for each in chosen:
-        of_groups, (of_pairs, said) = groups(rows, each), pairs(rows, each)
+    for chosen_by in chosen:
+        of_groups, (of_pairs, pair_notes) = groups(rows, chosen_by), pairs(rows, chosen_by)
         figures += [*of_groups, *of_pairs]
         tables.append(_of_groups(of_groups))
-        if of_pairs or said:
-            tables.append(_of_pairs(of_pairs, said))
+        if of_pairs or pair_notes:
+            tables.append(_of_pairs(of_pairs, pair_notes))
     return Report(campaign, notes, figures, tables, _worst(campaign))
 
 
@@ -115,7 +115,7 @@ def _notes(campaign: Campaign) -> list[str]:
     missing = max((campaign.expected or 0) - len(rows), 0)
     errors, unchecked = rows["error"].count(), rows["violations"].null_count()
     versions = rows["version"].unique().sort().to_list()
-    told = {
+    warnings = {
         f"Not finished: {missing:,} of {campaign.expected or 0:,} runs have no row yet. What is "
         "missing may differ from what is here; the command that began it goes on.": missing,
         f"{len(rows)} runs are few: intervals by bootstrap are then too narrow.": (
@@ -125,7 +125,7 @@ def _notes(campaign: Campaign) -> list[str]:
         f"{unchecked:,} runs were not checked for violations: in no rate of them.": unchecked,
         f"Flown by several versions: {', '.join(versions)}.": len(versions) > 1,
     }
-    return [note for note, applies in told.items() if applies]
+    return [note for note, applies in warnings.items() if applies]
 
 
 # --- tables
@@ -138,9 +138,9 @@ def _of_groups(figures: Sequence[Figure]) -> Sheet:
     for figure in figures:
         table.setdefault(figure.group, {})[figure.measure.name] = figure
     rows = []
-    for group, found in table.items():
-        count = found["arrived"].n  # every run has one
-        cells = [_cell(found.get(measure.name), count) for measure in shown]
+    for group, by_measure in table.items():
+        count = by_measure["arrived"].n  # every run has one
+        cells = [_cell(by_measure.get(measure.name), count) for measure in shown]
         rows.append((group, f"{count:,}", *cells))
     by = figures[0].by if figures else ""
     title = f"By {by}" if by else "All runs" if rows else "No run has a row yet"
@@ -192,7 +192,7 @@ def _worst(campaign: Campaign) -> list[Sheet]:
     why = why.with_columns(runs=pl.len().over("outcome", "reason")).unique(
         ["outcome", "reason"], keep="first", maintain_order=True
     )
-    found: dict[str, tuple[pl.DataFrame, Callable[[Row], str]]] = {
+    worst: dict[str, tuple[pl.DataFrame, Callable[[Row], str]]] = {
         "Violations": (
             rows.filter(pl.col("violations") > 0).sort(-pl.col("violations"), maintain_order=True),
             lambda row: f"{row['violations']}: {row['violated'] or 'not said which'}",
@@ -214,7 +214,7 @@ def _worst(campaign: Campaign) -> list[Sheet]:
         ),
     }
     sheets = []
-    for kind, (runs, says) in found.items():
+    for kind, (runs, says) in worst.items():
         shown = [
             (str(row["run"]), row["key"], says(row), replay_command(campaign, row))
             for row in runs.head(_WORST).iter_rows(named=True)
@@ -253,8 +253,8 @@ def terminal_tables(report: Report) -> list[Table | str]:
             table.add_row(*map(Text, row))
         shown += [table, *(f"  {note}" for note in sheet.notes)]
     for sheet in report.worst:
-        _, factors, said, command = sheet.rows[0]
-        shown += [f"{sheet.title}, first: {factors}: {said}", f"  {command}"]
+        _, factors, what, command = sheet.rows[0]
+        shown += [f"{sheet.title}, first: {factors}: {what}", f"  {command}"]
     return shown
 
 
@@ -268,8 +268,8 @@ def report_html(report: Report) -> str:
 def figures_csv(report: Report) -> str:
     """Every figure of the report: rates, medians, and differences in pairs."""
     figures = [
-        asdict(each) | {"by": each.by or None, "measure": each.measure.name}
-        for each in report.figures
+        asdict(figure) | {"by": figure.by or None, "measure": figure.measure.name}
+        for figure in report.figures
     ]
-    columns = [each.name for each in fields(Figure)]
+    columns = [field.name for field in fields(Figure)]
     return pl.DataFrame(figures, columns, infer_schema_length=None).write_csv()

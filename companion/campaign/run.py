@@ -52,21 +52,21 @@ def fly_run(run: Run, out: Path) -> Row:
     room.mkdir(parents=True, exist_ok=True)
     folder = Path(tempfile.mkdtemp(prefix=".new-", dir=room))
     try:
-        found = _flown(run, folder)
-        failed = not found["arrived"] or bool(found.get("violations"))
+        columns = _flown(run, folder)
+        failed = not columns["arrived"] or bool(columns.get("violations"))
         if run.keep == "all" or (run.keep == "failures" and failed):
-            found["folder"] = f"{_ROOT}/{run.number:06d}"
-            kept = out / found["folder"]
+            columns["folder"] = f"{_ROOT}/{run.number:06d}"
+            kept = out / columns["folder"]
             shutil.rmtree(kept, ignore_errors=True)  # of a worker that was lost
             folder.replace(kept)
             kept.chmod(0o755)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-    found |= {"took_s": time.perf_counter() - began_s, "cpu_s": time.process_time() - cpu_s}
-    return row_of(run, found)
+    columns |= {"took_s": time.perf_counter() - began_s, "cpu_s": time.process_time() - cpu_s}
+    return row_of(run, columns)
 
 
-def row_of(run: Run, found: Row) -> Row:
+def row_of(run: Run, columns: Row) -> Row:
     """The row of a run, with what was found of it."""
     place = run.place
     name = Path(place.world).parent.name if place.world.endswith(".toml") else place.world
@@ -74,7 +74,7 @@ def row_of(run: Run, found: Row) -> Row:
     about = {"run": run.number, "key": run.key, "seed": run.seed, "world": name, "over": run.over}
     about |= {name: getattr(place, name) for name in _OF_PLACE} | usual | run.factors
     flown = {"version": version("companion"), "worker": f"{platform.node()}/{os.getpid()}"}
-    return about | flown | {"took_s": 0.0, "cpu_s": 0.0, "folder": ""} | found
+    return about | flown | {"took_s": 0.0, "cpu_s": 0.0, "folder": ""} | columns
 
 
 def error_of(error: str) -> Row:
@@ -90,9 +90,9 @@ def _flown(run: Run, folder: Path) -> Row:
         flown = in_process.fly_here(files, seed=run.seed, limit_s=run.limit_s)
         drawn = of_files(str(files.world), str(files.mission))
         is_drawn = run.script is not None
-        found = judge.judged(flown, drawn, files.faults if is_drawn or files.faults else None)
-        found |= {"timeline": files.faults or None}
-        return found | ({"faults": files.drawn} if is_drawn else {})
+        columns = judge.judged(flown, drawn, files.faults if is_drawn or files.faults else None)
+        columns |= {"timeline": files.faults or None}
+        return columns | ({"faults": files.drawn} if is_drawn else {})
     except Exception as error:  # noqa: BLE001 - one run does not end a campaign
         cause = error.__cause__ or error
         if isinstance(cause, OSError) and cause.errno in _FULL:
@@ -157,7 +157,7 @@ def _planned(run: Run, folder: Path) -> Row:
         _files(run, folder)
     planner, knowledge = run.factors.get("planner", OURS), run.factors.get("knowledge", "scans")
     flown = fly_alone(drawn, planner, knowledge=knowledge, seed=run.seed)
-    found = judge.of_task(drawn.task, drawn, flown.plan_s) | {
+    columns = judge.of_task(drawn.task, drawn, flown.plan_s) | {
         "outcome": "failed" if flown.why else "arrived",
         "reason": flown.why or None,
         "arrived": not flown.why,
@@ -166,10 +166,10 @@ def _planned(run: Run, folder: Path) -> Row:
     }
     subpaths = [(leg.subpath.control_nea_m, leg.speed_m_s) for leg in flown.whole.legs]
     if subpaths:
-        found |= judge.of_track(flown.points_nea_m, drawn)
+        columns |= judge.of_track(flown.points_nea_m, drawn)
     is_ours = planner == OURS
     bounds = None if is_ours else _OF_PLACES  # rivals turn on the spot
-    return found | judge.checked(subpaths, drawn, joined=is_ours, bounds=bounds)
+    return columns | judge.checked(subpaths, drawn, joined=is_ours, bounds=bounds)
 
 
 def drawn_of(place: Place) -> DrawnWorld:

@@ -103,10 +103,10 @@ def split(rows: pl.DataFrame, by: Sequence[str]) -> dict[str, pl.DataFrame]:
     """Groups of rows by the values of some factors, in words, in the order of the campaign."""
     if not by or rows.is_empty():
         return {} if rows.is_empty() else {"all": rows}
-    found = rows.sort("run").partition_by(by, maintain_order=True, as_dict=True)
+    parts = rows.sort("run").partition_by(by, maintain_order=True, as_dict=True)
     return {
         ", ".join("none" if value is None else str(value) for value in values): runs
-        for values, runs in found.items()
+        for values, runs in parts.items()
     }
 
 
@@ -124,7 +124,7 @@ def _measured(rows: pl.DataFrame) -> pl.DataFrame:
 
 def groups(rows: pl.DataFrame, by: Sequence[str]) -> list[Figure]:
     """Every measure of every group, without those that no run of a group has."""
-    found = []
+    figures = []
     for group, runs in split(_measured(rows), by).items():
         for measure in MEASURES:
             known = runs[measure.words].drop_nulls().sort().to_numpy()
@@ -135,8 +135,8 @@ def groups(rows: pl.DataFrame, by: Sequence[str]) -> list[Figure]:
             else:
                 value, low, high = bootstrapped(np.median, known)
             who: dict[str, Any] = {"by": " × ".join(by), "group": group, "measure": measure}
-            found.append(Figure(**who, n=len(known), value=value, low=low, high=high))
-    return found
+            figures.append(Figure(**who, n=len(known), value=value, low=low, high=high))
+    return figures
 
 
 def rate(successes: int, runs: int) -> Interval:
@@ -154,7 +154,7 @@ def bootstrapped(statistic: Callable[..., Any], values: FloatArray) -> Interval:
     size, value = len(values), float(statistic(values))
     if size < FEWEST:
         return value, None, None
-    found = bootstrap(
+    interval = bootstrap(
         (values,),
         statistic,
         confidence_level=CONFIDENCE,
@@ -163,7 +163,7 @@ def bootstrapped(statistic: Callable[..., Any], values: FloatArray) -> Interval:
         method="percentile",
         rng=np.random.default_rng(size),
     )
-    low, high = found.confidence_interval
+    low, high = interval.confidence_interval
     return value, float(low), float(high)
 
 
@@ -185,20 +185,22 @@ def pairs(rows: pl.DataFrame, by: Sequence[str]) -> tuple[list[Figure], list[str
         paired[group], along = _paired(reference, runs, by)
         count = len(paired[group])
         alone = len(runs) - count, len(reference) - count
-        notes += [f"{pair}: {each} differs with it: either may be the reason." for each in along]
+        notes += [
+            f"{pair}: {factor} differs with it: either may be the reason." for factor in along
+        ]
         if any(alone):
             notes.append(f"{pair}: {alone[0]} and {alone[1]} runs have no partner, or several.")
         if not count:
             notes.append(f"{pair}: nothing to pair, more differs; name that too with --by.")
-    found = []
+    figures = []
     for measure in MEASURES:
-        differences = {group: _apart(measure, both) for group, both in paired.items()}
+        differences = {group: _differences(measure, both) for group, both in paired.items()}
         tested = {group: _compared(measure, d) for group, d in differences.items() if len(d)}
-        corrected = holm([told["p"] for told in tested.values()])
+        corrected = holm([columns["p"] for columns in tested.values()])
         who: dict[str, Any] = {"by": " × ".join(by), "against": first, "measure": measure}
-        for (group, told), p_holm in zip(tested.items(), corrected, strict=True):
-            found.append(Figure(group=group, p_holm=p_holm, **who, **told))
-    return found, notes
+        for (group, columns), p_holm in zip(tested.items(), corrected, strict=True):
+            figures.append(Figure(group=group, p_holm=p_holm, **who, **columns))
+    return figures, notes
 
 
 def _paired(
@@ -217,28 +219,28 @@ def _paired(
     return left.join(right, on=kept, nulls_equal=True, maintain_order="left"), along
 
 
-def _apart(measure: Measure, paired: pl.DataFrame) -> FloatArray:
+def _differences(measure: Measure, paired: pl.DataFrame) -> FloatArray:
     """By how much the second runs of pairs are above the first, sorted: 0 of those that are alike.
 
     (N,): of the pairs that both have the measure.
     """
     both = paired.select(measure.words, f"{measure.words}_right").drop_nulls().to_numpy()
     before, after = both[both[:, 0] != 0.0].T if measure.in_percent else both.T
-    apart = np.where(np.isclose(before, after, rtol=_SAME, atol=0.0), 0.0, after - before)
-    return np.sort(100.0 * apart / np.abs(before) if measure.in_percent else apart)
+    differences = np.where(np.isclose(before, after, rtol=_SAME, atol=0.0), 0.0, after - before)
+    return np.sort(100.0 * differences / np.abs(before) if measure.in_percent else differences)
 
 
-def _compared(measure: Measure, apart: FloatArray) -> dict[str, Any]:
+def _compared(measure: Measure, differences: FloatArray) -> dict[str, Any]:
     """What differences come to; (N,)."""
-    more, less, p = int(np.sum(apart > 0.0)), int(np.sum(apart < 0.0)), 1.0
+    more, less, p = int(np.sum(differences > 0.0)), int(np.sum(differences < 0.0)), 1.0
     if more + less and measure.is_rate:
         p = float(binomtest(more, more + less).pvalue)
     elif more + less:
-        p = float(wilcoxon(apart[apart != 0.0], method="auto").pvalue)
-    value, low, high = bootstrapped(np.mean if measure.is_rate else np.median, apart)
+        p = float(wilcoxon(differences[differences != 0.0], method="auto").pvalue)
+    value, low, high = bootstrapped(np.mean if measure.is_rate else np.median, differences)
     wins, losses = (more, less) if measure.more_is_better else (less, more)
-    told = {"n": len(apart), "value": value, "low": low, "high": high, "p": p}
-    return told | {"wins": wins, "ties": len(apart) - more - less, "losses": losses}
+    columns = {"n": len(differences), "value": value, "low": low, "high": high, "p": p}
+    return columns | {"wins": wins, "ties": len(differences) - more - less, "losses": losses}
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

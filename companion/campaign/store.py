@@ -179,17 +179,17 @@ def read_rows(field: str, folder: Path, *columns: str) -> "pl.DataFrame":
     empty = table([])
     # another version may have written some columns more, or not all
     others: Any = {"missing_columns": "insert", "extra_columns": "ignore"}
-    found = [empty.select(columns or [*COLUMNS])]
+    frames = [empty.select(columns or [*COLUMNS])]
     for part in sorted((folder / ROWS).glob("*.parquet")):
         try:
             scan = pl.scan_parquet(part, schema=empty.schema, **others)
-            found.append(scan.select(columns or [*COLUMNS]).collect())
+            frames.append(scan.select(columns or [*COLUMNS]).collect())
         except (OSError, pl.exceptions.PolarsError) as error:
             why = str(error).splitlines()[0].rstrip(".")
             rule = f"its rows cannot be read ({part.name}: {why})"
             remedy = "Remove that part: the command that began the campaign flies its runs again."
             raise InputError(field, str(folder), rule, remedy) from error
-    return pl.concat(found).unique("run", keep="first").sort("run")
+    return pl.concat(frames).unique("run", keep="first").sort("run")
 
 
 def facts_of(folder: Path) -> dict[str, Any]:

@@ -165,8 +165,8 @@ def _peaks_distance_m(points_nea_m: FloatArray, terrain: PeakTerrain, up_to_m: f
         least = np.maximum(aside - up_to_m, 0.0) / max(peak.spread_north_m, peak.spread_east_m)
         near &= peak.height_amsl_m * np.exp(-(least**2)) > points_nea_m[:, 2] - up_to_m
         if near.any():
-            found = _peak_distance_m(peak, points_nea_m[near], up_to_m)
-            result[near] = np.minimum(result[near], found)
+            distance_m = _peak_distance_m(peak, points_nea_m[near], up_to_m)
+            result[near] = np.minimum(result[near], distance_m)
     return result
 
 

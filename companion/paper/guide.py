@@ -22,39 +22,39 @@ def tangent_guide_rad(
     """
     straight = _bearing_rad(scan_ne_m, target_ne_m)
     offsets = {
-        each: wrap_rad(_bearing_rad(scan_ne_m, each.centre_nea_m) - straight)
-        for each in radars
-        if _apart_m(scan_ne_m, each) > each.range_m
+        radar: wrap_rad(_bearing_rad(scan_ne_m, radar.centre_nea_m) - straight)
+        for radar in radars
+        if _apart_m(scan_ne_m, radar) > radar.range_m
     }
     entries_m = dict[Radar, float]()  # where S-T enters each, from S
-    for each, offset in offsets.items():
-        apart_m = _apart_m(scan_ne_m, each)
+    for radar, offset in offsets.items():
+        apart_m = _apart_m(scan_ne_m, radar)
         along, aside = apart_m * math.cos(offset), apart_m * math.sin(offset)
-        if along > 0.0 and abs(aside) < each.range_m:
-            entries_m[each] = along - math.sqrt(each.range_m**2 - aside**2)
+        if along > 0.0 and abs(aside) < radar.range_m:
+            entries_m[radar] = along - math.sqrt(radar.range_m**2 - aside**2)
     north, east = target_ne_m[0] - scan_ne_m[0], target_ne_m[1] - scan_ne_m[1]
     if min(entries_m.values(), default=math.inf) >= math.hypot(north, east):
         return straight
-    cluster, found = set[Radar](), {min(entries_m, key=entries_m.__getitem__)}
-    while found:  # whoever overlaps what was found last
-        cluster |= found
-        found = {
+    cluster, newest = set[Radar](), {min(entries_m, key=entries_m.__getitem__)}
+    while newest:  # whoever overlaps what was found last
+        cluster |= newest
+        newest = {
             other
-            for each in found
+            for radar in newest
             for other in offsets
-            if _apart_m(each.centre_nea_m, other) < each.range_m + other.range_m - overlap_m
+            if _apart_m(radar.centre_nea_m, other) < radar.range_m + other.range_m - overlap_m
         } - cluster
     left, right = 0.0, 0.0
-    for each in cluster:
-        half_width = math.asin(each.range_m / _apart_m(scan_ne_m, each))
-        left = min(left, offsets[each] - half_width)
-        right = max(right, offsets[each] + half_width)
+    for radar in cluster:
+        half_width = math.asin(radar.range_m / _apart_m(scan_ne_m, radar))
+        left = min(left, offsets[radar] - half_width)
+        right = max(right, offsets[radar] + half_width)
     left, right = max(left, -_WIDEST_RAD), min(right, _WIDEST_RAD)
     return wrap_rad(straight + (left if -left < right else right))
 
 
-def _bearing_rad(here: Place, there: Place) -> float:
-    return math.atan2(there[1] - here[1], there[0] - here[0])
+def _bearing_rad(start: Place, end: Place) -> float:
+    return math.atan2(end[1] - start[1], end[0] - start[0])
 
 
 def _apart_m(place: Place, radar: Radar) -> float:

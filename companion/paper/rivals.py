@@ -91,14 +91,15 @@ class RouteProblem:
         costs = np.array([self.line_cost(*ends) for ends in pairwise(route_ne_m)])
         cost = np.append(0.0, np.cumsum(np.where(np.isfinite(costs), costs, 2.0 * lengths_m)))
         last, kept = int(np.sum(np.cumsum(lengths_m) <= self.ahead_m)), [0]
-        while (here := kept[-1]) < last:
+        while (newest := kept[-1]) < last:
             farther = (
                 there
-                for there in range(last, here + 1, -1)
-                if self.line_cost(route_ne_m[here], route_ne_m[there]) <= cost[there] - cost[here]
+                for there in range(last, newest + 1, -1)
+                if self.line_cost(route_ne_m[newest], route_ne_m[there])
+                <= cost[there] - cost[newest]
             )
-            kept.append(next(farther, here + 1))
-        return np.concatenate([route_ne_m[kept], route_ne_m[here + 1 :]])
+            kept.append(next(farther, newest + 1))
+        return np.concatenate([route_ne_m[kept], route_ne_m[newest + 1 :]])
 
 
 RoutePlanner = Callable[[RouteProblem, np.random.Generator], FloatArray | None]
@@ -141,7 +142,7 @@ def problem_of(request: PlanRequest) -> RouteProblem:
     need_m = surface.altitude_m(north, east)
     points = np.stack([north, east, np.clip(need_m, floor, ceiling)], axis=-1)
     level, *others = task.settings.weights.per_metre(task.settings.scan_range_m)
-    high, seen = (each / level for each in others)  # in metres of level flight
+    high, seen = (weight / level for weight in others)  # in metres of level flight
     rate = 1.0 + high * (points[..., 2] - floor) / (ceiling - floor)
     for radar in task.radars:
         rate += seen * detection_probability(radar.distance_m(points), radar.range_m)
@@ -261,16 +262,18 @@ def grid_steps(rate: FloatArray, stride: int, ways: Sequence[tuple[int, int]]) -
     Costs are in points of the rate; its mean along a step counts, at both ends and
     stride - 1 places between.
     """
-    (rows, columns), found = rate[::stride, ::stride].shape, []
+    (rows, columns), steps_found = rate[::stride, ::stride].shape, []
     for up, right in ways:
         row, column = np.ogrid[: rows - up, max(0, -right) : columns - max(0, right)]
         along = [
             rate[stride * row + up * k, stride * column + right * k] for k in range(stride + 1)
         ]
         cost = (math.hypot(up, right) * np.trapezoid(along, axis=0)).ravel()
-        here = (row * columns + column).ravel()
-        found.append(np.stack([cost, here, here + up * columns + right])[:, np.isfinite(cost)])
-    costs, *steps = np.concatenate(found, axis=1)
+        starts = (row * columns + column).ravel()
+        steps_found.append(
+            np.stack([cost, starts, starts + up * columns + right])[:, np.isfinite(cost)]
+        )
+    costs, *steps = np.concatenate(steps_found, axis=1)
     return costs, np.stack(steps, axis=-1).astype(np.intp)
 
 
@@ -326,16 +329,16 @@ def ants(problem: RouteProblem, rng: np.random.Generator) -> FloatArray | None:
     graph, places_m = _grid(problem, _ANTS_STRIDE)
     graph = graph.maximum(graph.T).tocsr()  # a step is an index of its data
     start, end = len(places_m) - 2, len(places_m) - 1
-    here, there = np.repeat(np.arange(end + 1), np.diff(graph.indptr)), graph.indices
+    starts, there = np.repeat(np.arange(end + 1), np.diff(graph.indptr)), graph.indices
     if not cheapest(graph, start, end):
         return None
     left_m = np.linalg.norm(places_m - places_m[end], axis=-1)
-    length_m = np.linalg.norm(places_m[here] - places_m[there], axis=-1)
-    draw = np.exp(-_GREED * (graph.data + left_m[there] - left_m[here]) / length_m)
+    length_m = np.linalg.norm(places_m[starts] - places_m[there], axis=-1)
+    draw = np.exp(-_GREED * (graph.data + left_m[there] - left_m[starts]) / length_m)
     pheromone, least, best = np.ones(graph.nnz), math.inf, list[int]()
     for _ in range(_GENERATIONS):
         weights = pheromone * draw
-        weights /= np.bincount(here, weights)[here]
+        weights /= np.bincount(starts, weights)[starts]
         total = np.append(0.0, np.cumsum(weights))  # those from a place sum to 1
         at, walks = np.full(_ANTS, start), list[IntArray]()
         while (at != end).any() and len(walks) < 8 * math.isqrt(end):  # four times across and back
@@ -344,7 +347,7 @@ def ants(problem: RouteProblem, rng: np.random.Generator) -> FloatArray | None:
             walks.append(np.searchsorted(total, drawn, side="right") - 1)
             at = np.where(at == end, end, there[walks[-1]])
         for steps in np.transpose(walks)[at == end]:
-            last = dict(zip(here[steps].tolist(), steps.tolist(), strict=True))
+            last = dict(zip(starts[steps].tolist(), steps.tolist(), strict=True))
             walk, place = list[int](), start
             while place != end:  # the last step from each place that it was in: without loops
                 walk.append(last[place])
@@ -354,7 +357,7 @@ def ants(problem: RouteProblem, rng: np.random.Generator) -> FloatArray | None:
         pheromone *= 1.0 - _EVAPORATES
         pheromone[best] += _EVAPORATES
         pheromone = np.clip(pheromone, _LEAST, 1.0)
-    return places_m[[*here[best].tolist(), end]] if best else None
+    return places_m[[*starts[best].tolist(), end]] if best else None
 
 
 # --- RRT* of OMPL

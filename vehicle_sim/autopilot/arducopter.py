@@ -435,10 +435,10 @@ class ArduCopter(ArduPilot):
 
     def _begin_return(self) -> None:
         """Home, first up to RTL_ALT."""
-        p, here = self.parameters, self.estimate.place
-        home = self.home or here
-        height_m = max(here.altitude_amsl_m, home.altitude_amsl_m + p["RTL_ALT"] / 100.0)
-        self.route.fly(back(here, home, height_m, p["RTL_LOIT_TIME"] / 1000.0), self.now_s)
+        p, place = self.parameters, self.estimate.place
+        home = self.home or place
+        height_m = max(place.altitude_amsl_m, home.altitude_amsl_m + p["RTL_ALT"] / 100.0)
+        self.route.fly(back(place, home, height_m, p["RTL_LOIT_TIME"] / 1000.0), self.now_s)
 
     def begin_leg(self, speed_m_s: float | None) -> None:
         """Another item of the mission, or none any more."""
@@ -467,8 +467,11 @@ class ArduCopter(ArduPilot):
 
     def is_there(self, leg: Leg) -> bool:
         """Near enough, and not too soon."""
-        here, place, returns = self.estimate.place, leg.place, leg.command == RETURN
-        rise_m, away_m = place.altitude_amsl_m - here.altitude_amsl_m, abs(way_m(here, place))
+        position, place, returns = self.estimate.place, leg.place, leg.command == RETURN
+        rise_m, away_m = (
+            place.altitude_amsl_m - position.altitude_amsl_m,
+            abs(way_m(position, place)),
+        )
         if leg.does is Does.LAND:
             return away_m < _OVER_LANDING_M
         there = math.hypot(away_m, rise_m) < self.parameters["WPNAV_RADIUS"] / 100.0
@@ -505,19 +508,19 @@ class ArduCopter(ArduPilot):
 
     def waypoint(self) -> values.Waypoint | None:
         """While it flies to a place that does not move."""
-        leg, here, place = self.route.leg, self.estimate.place, None
+        leg, position, place = self.route.leg, self.estimate.place, None
         if self.mode.name == "GUIDED":
             place = self._target if self.kind is Kind.POSITION else None
         elif leg is not None and (leg.does, leg.command) != (Does.LAND, RETURN):
             place = leg.place
         if place is None:
             return None
-        way = way_m(here, place)
+        way = way_m(position, place)
         return values.Waypoint(
             place=place,
             distance_m=abs(way),
             bearing_rad=math.atan2(way.imag, way.real) % math.tau,
-            altitude_error_m=place.altitude_amsl_m - here.altitude_amsl_m,
+            altitude_error_m=place.altitude_amsl_m - position.altitude_amsl_m,
         )
 
 

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Final
 from vehicle_sim.autopilot import core, values
 from vehicle_sim.autopilot.core import GPS_GLOBAL_ORIGIN, HOME_POSITION, Autopilot, Boot
 from vehicle_sim.autopilot.earth import FlatEarth
-from vehicle_sim.autopilot.estimator import Timing, told
+from vehicle_sim.autopilot.estimator import Timing, state_flags
 from vehicle_sim.autopilot.guards import Fence, named
 from vehicle_sim.autopilot.values import Command, Landed, Place, Result, State
 from vehicle_sim.faults import sim_parameters
@@ -65,7 +65,7 @@ def firmware(
 EKF3: Final = Timing(
     # of ArduCopter (arducopter-gps-loss.tlog, ardupilot.md 5): another vehicle boots otherwise
     stages=((0.0, 0x400), (4.46, 0x000), (5.9, 0x0A7)),
-    flags=told(good=0x33F, glitch=0x833F, yields=0x8027, lost=0x025, stopped=0x0A7),
+    flags=state_flags(good=0x33F, glitch=0x833F, yields=0x8027, lost=0x025, stopped=0x0A7),
     origin_s=10.0,
     good_s=31.62,
     gate_m=3.75,  # a variance ratio of 13.33 for 50 m at once, 10.53 after 9.5 s
@@ -151,8 +151,8 @@ class ArduPilot(Autopilot):
         elif not self.estimate.position_ok:
             fence.breached = 0
         else:
-            here, lands = self.estimate.place, self.lands()
-            if new := fence.check(here, home, self.frame, lands=lands):
+            place, lands = self.estimate.place, self.lands()
+            if new := fence.check(place, home, self.frame, lands=lands):
                 self.say(5, f"{named(new)} fence breached")
                 if action := int(self.parameters["FENCE_ACTION"]):
                     self.on_failsafe("Fence", action)
@@ -179,7 +179,7 @@ class ArduPilot(Autopilot):
         flags, number = command.parameters[:2]
         if not (math.isfinite(flags) and int(flags) & 1):
             return Result.DENIED
-        name = next((each.name for each in self.firmware.modes if each.number == number), None)
+        name = next((mode.name for mode in self.firmware.modes if mode.number == number), None)
         return self.done(name is not None and self.set_mode(name))
 
     def refusal(self) -> str | None:
@@ -229,5 +229,5 @@ class ArduPilot(Autopilot):
             landed_state=landed,
             prearm_ok=self.now_s >= self.firmware.prearm_s,
             waypoint=self.waypoint(),
-            fence=self.fence.told,
+            fence=self.fence.status,
         )

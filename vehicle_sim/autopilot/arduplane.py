@@ -107,16 +107,16 @@ class ArduPlane(FixedWing, ArduPilot):
 
     def begin(self) -> None:
         """What was told before is forgotten; without anything new it circles here."""
-        here, p, self._asked_m_s, self.leg = self.estimate.place, self.parameters, None, None
+        at_place, p, self._asked_m_s, self.leg = self.estimate.place, self.parameters, None, None
         self.wanted_climb_m_s = None
         self.route.stop()
-        self.circle(here)
-        self.wanted_height_m = here.altitude_amsl_m
+        self.circle(at_place)
+        self.wanted_height_m = at_place.altitude_amsl_m
         if self.mode.name == "RTL":
             self.route.fly([Leg(Does.GO, self._over_home(), math.inf, RETURN)], self.now_s)
         elif self.mode.name == "TAKEOFF" and self.plane.stands:
             ahead_m = cmath.rect(p["TKOFF_DIST"], self.plane.heading_rad)
-            place = FlatEarth(here).place(ahead_m.real, ahead_m.imag, -p["TKOFF_ALT"])
+            place = FlatEarth(at_place).place(ahead_m.real, ahead_m.imag, -p["TKOFF_ALT"])
             climb = Leg(Does.CLIMB, place.at(place.altitude_amsl_m - _REACHED_M), command=RETURN)
             self.route.fly([climb, Leg(Does.GO, place, math.inf, RETURN)], self.now_s)
             self.circle(place)
@@ -142,17 +142,17 @@ class ArduPlane(FixedWing, ArduPilot):
 
     def _over_home(self) -> Place:
         """RTL_ALTITUDE above it."""
-        here, above_m = self.estimate.place, self.parameters["RTL_ALTITUDE"]
-        home = self.home or here
-        return home.at(here.altitude_amsl_m if above_m < 0.0 else home.altitude_amsl_m + above_m)
+        place, above_m = self.estimate.place, self.parameters["RTL_ALTITUDE"]
+        home = self.home or place
+        return home.at(place.altitude_amsl_m if above_m < 0.0 else home.altitude_amsl_m + above_m)
 
     def begin_leg(self, speed_m_s: float | None) -> None:
         """Another item; it takes off straight ahead, waits at no way point, and circles home."""
-        leg, here = self.route.leg, self.estimate.place
-        self._start = here
+        leg, place = self.route.leg, self.estimate.place
+        self._start = place
         self._asked_m_s = speed_m_s or self._asked_m_s
         if leg is not None and leg.does is Does.CLIMB:
-            self.route.leg = leg._replace(place=here.at(leg.place.altitude_amsl_m))
+            self.route.leg = leg._replace(place=place.at(leg.place.altitude_amsl_m))
         elif leg is not None and leg.does is Does.RETURN:
             self.route.leg = Leg(Does.GO, self._over_home(), math.inf, RETURN)
         elif leg is not None and leg.command == WAYPOINT:

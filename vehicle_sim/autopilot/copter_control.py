@@ -119,9 +119,9 @@ class PositionControl:
 
     def off_m(self, place: Place) -> complex:
         """From here to a place."""
-        here = self._estimate
-        self._scale = metres_per_degree(here.latitude_deg)
-        here_deg = complex(here.latitude_deg, here.longitude_deg)
+        position = self._estimate
+        self._scale = metres_per_degree(position.latitude_deg)
+        here_deg = complex(position.latitude_deg, position.longitude_deg)
         return self._metres(here_deg, complex(place.latitude_deg, place.longitude_deg))
 
     # --- what is asked for --------------------------------------------------------------------
@@ -141,9 +141,9 @@ class PositionControl:
         place: one that moves like that, and the way there no faster than at these speeds; paced:
         it does not move, and the climb and the way there are in proportion.
         """
-        here = self._estimate
-        self._here_deg = complex(here.latitude_deg, here.longitude_deg)
-        self._scale = metres_per_degree(here.latitude_deg)
+        position = self._estimate
+        self._here_deg = complex(position.latitude_deg, position.longitude_deg)
+        self._scale = metres_per_degree(position.latitude_deg)
         self._move(dt_s)
         velocity, climb_m_s = moves or (self.velocity, self.climb_m_s)
         (speed_m_s, up_m_s, down_m_s), to_go, rise_m = speeds_m_s, 0j, 0.0

@@ -166,7 +166,7 @@ class Autopilot:
         """When it was armed, and when a ground station was heard."""
         self.touched_s: float | None = None
         self.landed_s: float | None = None
-        self._said: list[Reply] = []
+        self._replies: list[Reply] = []
         self._version = -1
         self._check_us = round(firmware.first_check_s * 1e6)
         self._before_rad = (0.0, 0.0, boot.vehicle.heading_rad)  # attitude before the last step
@@ -204,16 +204,16 @@ class Autopilot:
 
     def say(self, severity: int, text: str) -> None:
         """A STATUSTEXT."""
-        self._said.append(values.Text(severity=severity, text=text))
+        self._replies.append(values.Text(severity=severity, text=text))
 
     def send(self, *messages: int) -> None:
         """Send these telemetry messages once, to all links."""
-        self._said.extend(values.SendTelemetry(message=message) for message in messages)
+        self._replies.extend(values.SendTelemetry(message=message) for message in messages)
 
     def taken(self) -> Sequence[Reply]:
         """What there is to say, once."""
-        said, self._said = self._said, []
-        return said
+        replies, self._replies = self._replies, []
+        return replies
 
     # --- each step ----------------------------------------------------------------------------
 
@@ -252,7 +252,7 @@ class Autopilot:
             if vehicle.altitude_amsl_m <= ground_amsl_m:
                 self._come_to_ground()
         estimate.follow()
-        return self.taken() if self._said else ()
+        return self.taken() if self._replies else ()
 
     def _come_to_ground(self) -> None:
         vehicle = self.vehicle
@@ -349,8 +349,8 @@ class Autopilot:
 
     def seek(self, number: int) -> None:
         """Fly the mission from this item on; what is above terrain is above the ground below."""
-        items, here = self.plans[PlanKind.MISSION], self.estimate.place
-        about = (here, self.home or here, self.ground_m)
+        items, place = self.plans[PlanKind.MISSION], self.estimate.place
+        about = (place, self.home or place, self.ground_m)
         self.begin_leg(self.route.seek(items, number, about, self.now_s))
 
     def is_at(self, does: Does) -> bool:
@@ -391,7 +391,7 @@ class Autopilot:
     def reached(self, number: int) -> None:
         """Send MISSION_ITEM_REACHED to all links."""
         message = mavlink.MAVLink_mission_item_reached_message(seq=number)
-        self._said.append(values.SendMessage(message=message))
+        self._replies.append(values.SendMessage(message=message))
 
     def mission_state(self) -> int:
         """MISSION_STATE: 1 no mission, 2 not started, 3 active, 4 paused, 5 complete."""
@@ -419,7 +419,7 @@ class Autopilot:
         ack = values.Ack(to=command.sender, command=number, result=result)
         if number != _DO_SET_MODE or not self.is_px4:
             return [ack, *self.taken()]
-        self._said.insert(0, ack)
+        self._replies.insert(0, ack)
         return [ack._replace(result=Result.ACCEPTED)]
 
     def on_heartbeat(self, sender: Sender, vehicle_type: int) -> None:
@@ -454,7 +454,7 @@ class Autopilot:
         """An old command that asks for one message; of home, once there is one."""
         if command.number == _GET_HOME_POSITION and self.home is None:
             return self.firmware.refused
-        self._said.append(values.SendTelemetry(_TELLS[command.number], command.sender))
+        self._replies.append(values.SendTelemetry(_TELLS[command.number], command.sender))
         return Result.ACCEPTED
 
     def _reboot(self, command: Command) -> Result:
@@ -463,7 +463,7 @@ class Autopilot:
             return self.firmware.refused
         if command.parameters[0] not in (1.0, 3.0):
             return Result.UNSUPPORTED
-        self._said.append(values.Reboot())
+        self._replies.append(values.Reboot())
         return Result.ACCEPTED
 
     # --- faults -------------------------------------------------------------------------------

@@ -42,7 +42,9 @@ position; and for so long that it has none."""
 _FLYING: Final = frozenset({State.GOOD, State.GLITCH, State.YIELDS})
 
 
-def told(good: int, glitch: int, yields: int, lost: int, stopped: int) -> Mapping[State, int]:
+def state_flags(
+    good: int, glitch: int, yields: int, lost: int, stopped: int
+) -> Mapping[State, int]:
     """Flags of these states."""
     return dict(zip(list(State)[1:], (good, glitch, yields, lost, stopped), strict=True))
 

@@ -68,12 +68,12 @@ PERSONALITIES: Final = {
 
 def personality_of(vehicle: VehicleTable) -> Personality:
     """The one that a world asks for; InputError if there is none."""
-    found = PERSONALITIES.get((vehicle.autopilot, vehicle.kind))
-    if found is None:
+    personality = PERSONALITIES.get((vehicle.autopilot, vehicle.kind))
+    if personality is None:
         known = " or ".join(f"'{name}'" for name, kind in PERSONALITIES if kind == vehicle.kind)
         rule = f"must be {known} with a {vehicle.kind}"
         raise InputError("vehicle.autopilot", vehicle.autopilot, rule, "Correct the world file.")
-    return found
+    return personality
 
 
 def ids_of(personality: Personality, parameters: Readable) -> tuple[int, int]:
@@ -98,7 +98,7 @@ def make_vehicle(
 ) -> Copter | Plane:
     """The airframe, standing on the ground here."""
     usual = personality_of(vehicle)
-    here: Any = {
+    place: Any = {
         "latitude_deg": latitude_deg,
         "longitude_deg": longitude_deg,
         "altitude_amsl_m": ground_amsl_m,
@@ -108,14 +108,14 @@ def make_vehicle(
     if isinstance(usual.limits, Limits):
         drags = usual.drag if (drag_1_s := _own_drag_1_s(vehicle)) is None else (drag_1_s, 0.0)
         limits = replace(usual.limits, **{key.replace("_max", ""): own[key] for key in own})
-        return Copter(**here, limits=limits, drag_1_s=drags[0], drag_1_m=drags[1])
+        return Copter(**place, limits=limits, drag_1_s=drags[0], drag_1_m=drags[1])
     if "bank_max_deg" in own:
         own["bank_max_rad"] = math.radians(own.pop("bank_max_deg"))
     able = replace(usual.limits, **own)
     if able.airspeed_min_m_s >= able.airspeed_max_m_s:
         rule = f"must be less than airspeed_max_m_s, which is {able.airspeed_max_m_s:g}"
         raise InputError("vehicle.airspeed_min_m_s", able.airspeed_min_m_s, rule, "Give both.")
-    return Plane(**here, limits=able)
+    return Plane(**place, limits=able)
 
 
 def _own_drag_1_s(vehicle: VehicleTable) -> float | None:

@@ -37,8 +37,8 @@ class Zones:
         if self._version != self._plans.version or self._frame is not frame:
             self._version, self._frame, self._zones = self._plans.version, frame, []
             for items in zones_of(self._plans[PlanKind.FENCE]):
-                places = (Place(each.x * 1e-7, each.y * 1e-7, 0.0) for each in items)
-                corners = [frame.ned_m(each)[:2] for each in places]
+                places = (Place(item.x * 1e-7, item.y * 1e-7, 0.0) for item in items)
+                corners = [frame.ned_m(place)[:2] for place in places]
                 keeps_in = items[0].command in (POLYGON_IN, CIRCLE_IN)
                 if len(corners) > 1:
                     zone = Zone(keeps_in, shapely.Polygon(corners))
@@ -50,7 +50,7 @@ class Zones:
         here_m = shapely.Point(frame.ned_m(place)[:2])
         kept = [zone.surrounds(here_m) for zone in self._zones if zone.keeps_in]
         is_out = bool(kept) and not (any(kept) if union else all(kept))
-        return is_out or any(each.surrounds(here_m) for each in self._zones if not each.keeps_in)
+        return is_out or any(zone.surrounds(here_m) for zone in self._zones if not zone.keeps_in)
 
 
 ALTITUDE_MAX, CIRCLE, POLYGON, ALTITUDE_MIN = 1, 2, 4, 8
@@ -85,7 +85,7 @@ class Fence:
         return bool(self._parameters["FENCE_ENABLE"])
 
     @property
-    def told(self) -> tuple[int, ...] | None:
+    def status(self) -> tuple[int, ...] | None:
         """FENCE_STATUS, if there is a fence: whether it is breached, and how often it was."""
         there = self.enabled or self._plans[PlanKind.FENCE]
         return (int(bool(self.breached)), self._breaches) if there else None
@@ -95,25 +95,25 @@ class Fence:
         if not self.enabled or home is None:
             return 0
         p, above_m = self._parameters, place.altitude_amsl_m - home.altitude_amsl_m
-        kinds, union, found = int(p["FENCE_TYPE"]), bool(int(p["FENCE_OPTIONS"]) & 2), 0
+        kinds, union, breaches = int(p["FENCE_TYPE"]), bool(int(p["FENCE_OPTIONS"]) & 2), 0
         if kinds & ALTITUDE_MAX and above_m >= p["FENCE_ALT_MAX"]:
-            found |= ALTITUDE_MAX
+            breaches |= ALTITUDE_MAX
         if kinds & ALTITUDE_MIN and self.has_floor and above_m <= p["FENCE_ALT_MIN"]:
-            found |= ALTITUDE_MIN
+            breaches |= ALTITUDE_MIN
         if kinds & CIRCLE and abs(way_m(home, place)) >= p["FENCE_RADIUS"]:
-            found |= CIRCLE
+            breaches |= CIRCLE
         if kinds & POLYGON and self._zones.forbid(frame, place, union=union):
-            found |= POLYGON
-        return found
+            breaches |= POLYGON
+        return breaches
 
     def check(self, place: Place, home: Place, frame: Frame, *, lands: bool) -> int:
         """Look where the vehicle is; returns the kinds that are breached since just now."""
         p, above_m = self._parameters, place.altitude_amsl_m - home.altitude_amsl_m
         is_safe = above_m >= p["FENCE_ALT_MIN"] + p["FENCE_MARGIN"]
         self.has_floor = not lands and (self.has_floor or is_safe)
-        found = self.outside(place, home, frame)
-        new = found & ~self.breached
-        if found and not self.breached:
+        breaches = self.outside(place, home, frame)
+        new = breaches & ~self.breached
+        if breaches and not self.breached:
             self._breaches += 1
-        self.breached = found
+        self.breached = breaches
         return new

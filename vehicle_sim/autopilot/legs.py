@@ -40,11 +40,11 @@ class Leg(NamedTuple):
     """NaN: along the way."""
 
 
-def back(here: Place, home: Place, altitude_amsl_m: float, hold_s: float) -> list[Leg]:
+def back(place: Place, home: Place, altitude_amsl_m: float, hold_s: float) -> list[Leg]:
     """Up to this height, over home, wait there and land."""
-    above, climb = home.at(altitude_amsl_m), here.at(altitude_amsl_m)
+    above, climb = home.at(altitude_amsl_m), place.at(altitude_amsl_m)
     legs = ((Does.CLIMB, climb, 0.0), (Does.GO, above, 0.0), (Does.GO, above, hold_s))
-    return [Leg(*each, command=RETURN) for each in (*legs, (Does.LAND, home, 0.0))]
+    return [Leg(*leg, command=RETURN) for leg in (*legs, (Does.LAND, home, 0.0))]
 
 
 def leg_of(item: PlanItem, here: Place, home: Place, ground_amsl_m: float) -> Leg | None:

@@ -221,17 +221,17 @@ class FixedWing(Autopilot):
 
     def fly_leg(self) -> None:
         """Straight to the leg's place from the one before, or about it."""
-        before, leg, here = self.leg, self.route.leg, self.estimate.place
+        before, leg, place = self.leg, self.route.leg, self.estimate.place
         self.leg = leg
         if leg is None:
-            self.circle(here)
+            self.circle(place)
         elif leg.does is Does.LAND:
             self.land_at(leg.place)
         elif leg.hold_s and leg.does is Does.GO:
             self.circle(leg.place)
         else:
             goes_on = before is not None and before.does is leg.does is Does.GO
-            self.straight_to(leg.place, before.place if before and goes_on else here)
+            self.straight_to(leg.place, before.place if before and goes_on else place)
 
     def _is_up(self, leg: Leg) -> bool:
         return self.estimate.altitude_amsl_m >= leg.place.altitude_amsl_m

@@ -12,7 +12,7 @@ from typing import Final
 from vehicle_sim.autopilot import core, values
 from vehicle_sim.autopilot.core import GPS_GLOBAL_ORIGIN, Mode
 from vehicle_sim.autopilot.earth import Projection
-from vehicle_sim.autopilot.estimator import Timing, told
+from vehicle_sim.autopilot.estimator import Timing, state_flags
 from vehicle_sim.autopilot.guards import Zones
 from vehicle_sim.autopilot.legs import RETURN, Does, Leg
 from vehicle_sim.autopilot.setpoints import Target, given, read_by_px4
@@ -59,7 +59,7 @@ _GOOD: Final = 0x37F
 _TIMING: Final = Timing(
     # px4-gps-loss.tlog and px4.md 8
     stages=((0.0, 0x0E5),),
-    flags=told(good=_GOOD, glitch=_GOOD, yields=_GOOD, lost=0x365, stopped=0x065),
+    flags=state_flags(good=_GOOD, glitch=_GOOD, yields=_GOOD, lost=0x365, stopped=0x065),
     origin_s=2.0,  # between 1.65 and 2.65 s of px4-offboard-short.tlog
     good_s=2.0,
     gate_m=5.375,  # about EKF2_GPS_P_GATE (5) standard deviations of what is recorded
@@ -82,7 +82,7 @@ _TIMING: Final = Timing(
 
 def firmware(parameters: str, *, vehicle_type: int, rates_hz: dict[int, float]) -> core.Firmware:
     """PX4 on its onboard link (px4.md 2), for one kind of vehicle."""
-    told, rows = frozenset(rates_hz) | {231}, table("px4", parameters)
+    streamed, rows = frozenset(rates_hz) | {231}, table("px4", parameters)
     return core.Firmware(
         family="px4",
         vehicle_type=vehicle_type,
@@ -93,8 +93,8 @@ def firmware(parameters: str, *, vehicle_type: int, rates_hz: dict[int, float]) 
         first_heartbeat_us=1_600_000,  # px4.md 3
         rates_hz=rates_hz,
         # without what other parts of PX4 send: SET_MESSAGE_INTERVAL fails as for unknown messages
-        streamable=(told | _NOT_TOLD | {GPS_GLOBAL_ORIGIN, 77}) - {0, 42},
-        requestable=told | {42, 46, GPS_GLOBAL_ORIGIN, 77, core.AUTOPILOT_VERSION},
+        streamable=(streamed | _NOT_TOLD | {GPS_GLOBAL_ORIGIN, 77}) - {0, 42},
+        requestable=streamed | {42, 46, GPS_GLOBAL_ORIGIN, 77, core.AUTOPILOT_VERSION},
         # in the alphabetic order that PX4 numbers them in, then the faults'
         table=(*sorted(rows, key=lambda row: row.name), *sim_parameters("px4")),
         modes=MODES,
@@ -230,12 +230,12 @@ class Px4(core.Autopilot):
 
     def _breaches(self) -> bool:
         """Whether it is outside of the fence, as far as it knows where it is."""
-        p, here, home, before = self.parameters, self.estimate.place, self.base, self._breached
+        p, place, home, before = self.parameters, self.estimate.place, self.base, self._breached
         if self.estimate.position_ok:
             away_m = math.dist(self.local_m[:2], self.frame.ned_m(home)[:2])
-            above_m = here.altitude_amsl_m - home.altitude_amsl_m
+            above_m = place.altitude_amsl_m - home.altitude_amsl_m
             beyond = 0.0 < p["GF_MAX_HOR_DIST"] < away_m or 0.0 < p["GF_MAX_VER_DIST"] < above_m
-            self._breached = beyond or self._zones.forbid(self.frame, here, union=True)
+            self._breached = beyond or self._zones.forbid(self.frame, place, union=True)
         if self._breached and not before:
             self.say(4, "Geofence: approaching or outside geofence\t")
         return self._breached
@@ -292,13 +292,13 @@ class Px4(core.Autopilot):
 
     def begin(self) -> None:
         """Fly the mode from now on: the legs of all AUTO modes but the mission."""
-        here, legs = self.estimate.place, list[Leg]()
+        at_place, legs = self.estimate.place, list[Leg]()
         match self.mode.name:
             case "Takeoff":  # never down
                 up_m = self.base.altitude_amsl_m + self.parameters["MIS_TAKEOFF_ALT"]
-                place = self.asked_or(here.at(up_m))
-                if place.altitude_amsl_m < here.altitude_amsl_m:
-                    place = place.at(up_m if self.landed else here.altitude_amsl_m)
+                place = self.asked_or(at_place.at(up_m))
+                if place.altitude_amsl_m < at_place.altitude_amsl_m:
+                    place = place.at(up_m if self.landed else at_place.altitude_amsl_m)
                 legs = [Leg(Does.CLIMB, place, self.taken_off_s, RETURN)]
             case "Hold":
                 place = self.asked_or(self.stops_at())
@@ -375,11 +375,11 @@ class Px4(core.Autopilot):
         height_m = values.height_amsl_m(frame, altitude_m, home_m, self.ground_m)
         return Place(latitude_deg, longitude_deg, altitude_m if height_m is None else height_m)
 
-    def asked_or(self, here: Place) -> Place:
+    def asked_or(self, otherwise: Place) -> Place:
         """What of a place was asked for, and here what was not."""
         height_m = self.asked.altitude_amsl_m
-        place = self.asked if given(self.asked) else here
-        return place.at(here.altitude_amsl_m if height_m != height_m else height_m)
+        place = self.asked if given(self.asked) else otherwise
+        return place.at(otherwise.altitude_amsl_m if height_m != height_m else height_m)
 
     def _land_or_take_off(self, command: Command) -> Result:
         name = {21: "Land", 22: "Takeoff"}[command.number]

@@ -75,7 +75,7 @@ class Px4Copter(Px4):
         return State(place, down_m, e.velocity_m_s, -e.velocity_up_m_s, copter.acceleration_m_s2)
 
     @property
-    def _here(self) -> complex:
+    def _position(self) -> complex:
         return complex(*self.local_m[:2])
 
     def _local(self, place: Place) -> tuple[complex, float]:
@@ -96,7 +96,7 @@ class Px4Copter(Px4):
         leg = self._leg = self.route.leg
         self._goal, self._goal_down = self._local(self.stops_at() if leg is None else leg.place)
         if leg is not None and leg.does is Does.CLIMB:
-            self._goal = self._here
+            self._goal = self._position
         elif leg is not None and leg.does is Does.LAND:
             self._goal_down = self._point.at.down
 
@@ -108,11 +108,11 @@ class Px4Copter(Px4):
 
     def way_home(self) -> list[Leg]:
         """Up, home, and down: to RTL_RETURN_ALT, or less in a cone of 45 degrees about home."""
-        p, here, home = self.parameters, self.estimate.place, self.base
-        away_m, up_m = abs(self._here - self._local(home)[0]), p["RTL_RETURN_ALT"]
+        p, place, home = self.parameters, self.estimate.place, self.base
+        away_m, up_m = abs(self._position - self._local(home)[0]), p["RTL_RETURN_ALT"]
         least_m = p["RTL_DESCEND_ALT"] if away_m < _NEAR_HOME_M else max(away_m, 10.0)
         height_m = home.altitude_amsl_m + min(up_m, least_m)
-        return back(here, home, max(height_m, here.altitude_amsl_m), 0.0)
+        return back(place, home, max(height_m, place.altitude_amsl_m), 0.0)
 
     def on_disarmed(self) -> None:
         """The motors stand."""
@@ -228,7 +228,7 @@ class Px4Copter(Px4):
         elif near_m != near_m:
             near_m = p["NAV_ACC_RAD"]
         off_m = abs(self._goal_down - self.local_m[2])
-        return abs(self._goal - self._here) < near_m and off_m < p["NAV_MC_ALT_RAD"]
+        return abs(self._goal - self._position) < near_m and off_m < p["NAV_MC_ALT_RAD"]
 
     def _turn(self) -> None:
         """Turn the nose: to the setpoint's yaw, or along the way."""
@@ -239,7 +239,7 @@ class Px4Copter(Px4):
             elif target is not None and target.yaw_rate_rad_s == target.yaw_rate_rad_s:
                 self._yaw_rad = copter.heading_rad + target.yaw_rate_rad_s / _TURN_1_S
         elif leg is not None and leg.does is not Does.LAND:
-            way = self._goal - self._here
+            way = self._goal - self._position
             if leg.yaw_rad == leg.yaw_rad:
                 self._yaw_rad = leg.yaw_rad
             elif abs(way) > _NEAR_M:
@@ -273,4 +273,4 @@ class Px4Copter(Px4):
     def waypoint(self) -> Waypoint | None:
         """Where the leg ends."""
         leg = self.route.leg
-        return leg and Waypoint(place=leg.place, distance_m=abs(self._goal - self._here))
+        return leg and Waypoint(place=leg.place, distance_m=abs(self._goal - self._position))

@@ -82,9 +82,9 @@ def read_by_arducopter(setpoint: Setpoint, heading_rad: float) -> Target | Stop:
         unknown = height_amsl_m(frame, 0.0, 0.0, None if velocity else 0.0) is None
         if wild or unknown:
             return Stop()
-    vectors = [each or NOTHING for each in (place, velocity, push)]
+    vectors = [vector or NOTHING for vector in (place, velocity, push)]
     if not is_global and frame in (_BODY_NED, _BODY_OFFSET_NED):
-        vectors = [turned(each, heading_rad) for each in vectors]
+        vectors = [turned(vector, heading_rad) for vector in vectors]
         yaw_rad += heading_rad
     yaws = (_NAN if mask & _YAW else yaw_rad, _NAN if mask & _YAW_RATE else yaw_rate_rad_s)
     return Target(vectors[0], vectors[1], vectors[2], *yaws, is_global, frame)

@@ -76,5 +76,5 @@ class Battery:
         if left < 1.0:
             resting_v *= float(np.interp(left, _LEFT, _RESTING))
         self.voltage_v = max(resting_v - sag_v, 0.0)
-        told = 1.0 - self.consumed_mah / max(conditions.gauge_mah, 1.0)
-        self.remaining = min(max(told, 0.0), conditions.most)
+        gauge = 1.0 - self.consumed_mah / max(conditions.gauge_mah, 1.0)
+        self.remaining = min(max(gauge, 0.0), conditions.most)

@@ -113,8 +113,8 @@ class Contact:
         self._measure(now_us)
         if self.scene.empty:
             return None
-        here = np.array([*self.local_m, self._vehicle.altitude_amsl_m])
-        near_m = min(self._near_m, float(self.scene.distance_m(here)[0]))
+        position = np.array([*self.local_m, self._vehicle.altitude_amsl_m])
+        near_m = min(self._near_m, float(self.scene.distance_m(position)[0]))
         self.nearest_m, self._near_m = min(self.nearest_m, near_m), math.inf
         return near_m
 
@@ -159,7 +159,7 @@ class Contact:
         lands, self._took_off = self._took_off, False
         # by the slope about here, or by that of the way here, whichever is worse: a step up
         slopes = (self._slope(), self._passed)
-        if any(is_crash(way, each, rolls=self._rolls, lands=lands) for each in slopes):
+        if any(is_crash(way, slope, rolls=self._rolls, lands=lands) for slope in slopes):
             self._vehicle.stand(self.ground_amsl_m)
             self._crash(way, "the ground", now_us)
 
@@ -175,12 +175,12 @@ class Contact:
         self._unwatched_m -= step_m
         if self._unwatched_m > 0.0:
             return
-        here = self.place_nea_m()
-        near_m = float(self.scene.distance_m(here)[0])
+        position = self.place_nea_m()
+        near_m = float(self.scene.distance_m(position)[0])
         self._unwatched_m = near_m - _NEAR_M
         if 0.0 < near_m < step_m:  # it may have flown through
             share = np.linspace(0.0, 1.0, math.ceil(step_m / _ALONG_M) + 1)[:, None]
-            near_m = float(self.scene.distance_m(here - share * dt_s * np.array(way)).min())
+            near_m = float(self.scene.distance_m(position - share * dt_s * np.array(way)).min())
         self._near_m = min(self._near_m, near_m)
         touches, self._on_thing = self._on_thing, near_m == 0.0
         if self._on_thing and not touches and any(way):

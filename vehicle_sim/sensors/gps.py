@@ -150,8 +150,8 @@ class Gps:
             fresh = self._noise(3 * (math.sqrt(1.0 - keep * keep),))
             self._wander = keep * self._wander + fresh
             error_m += np.array([1.0, 1.0, _VERTICAL]) * conditions.sigma_m * self._wander
-        here = (vehicle.latitude_deg, vehicle.longitude_deg, vehicle.altitude_amsl_m)
-        state = np.array([*here, *vehicle.velocity_neu_m_s])
+        place = (vehicle.latitude_deg, vehicle.longitude_deg, vehicle.altitude_amsl_m)
+        state = np.array([*place, *vehicle.velocity_neu_m_s])
         error_m -= state[3:] * ((now_us - due_us) * 1e-6)
         state[:3] += _degrees(error_m, vehicle.latitude_deg)
         state[2] += conditions.offset_up_m
@@ -194,15 +194,15 @@ class Gps:
             self._jam = None
         if locked or not receiver.late_lock:
             self._locked_us = due_us
-        told, drift_m_s, glitch_m = sample.state, conditions.drift_m_s, conditions.glitch_m
+        fields, drift_m_s, glitch_m = sample.state, conditions.drift_m_s, conditions.glitch_m
         drifted_m = self._drift_m + np.array(drift_m_s) * (receiver.interval_us * 1e-6)
         self._drift_m = drifted_m if any(drift_m_s) else np.zeros(3)
         east_deg, up_m = conditions.glitch_longitude_deg, conditions.glitch_up_m
         glitch = (conditions.glitch_latitude_deg, east_deg, up_m)
         if any(drift_m_s + glitch_m + glitch):
-            wrong = _degrees(self._drift_m + glitch_m, told[0]) + np.array(glitch)
-            told = told + np.array([*wrong, *drift_m_s])
-        latitude_deg, longitude_deg, altitude_m, north_m_s, east_m_s, up_m_s = told.tolist()
+            wrong = _degrees(self._drift_m + glitch_m, fields[0]) + np.array(glitch)
+            fields = fields + np.array([*wrong, *drift_m_s])
+        latitude_deg, longitude_deg, altitude_m, north_m_s, east_m_s, up_m_s = fields.tolist()
         return Fix(
             self._locked_us,
             receiver.fix_type if locked else receiver.fix_type_lost,

@@ -56,15 +56,15 @@ class _Grid:
         self.place = (south_m, west_m, self.cell_m)
         self.middle_ne_m = np.array([south_m, west_m]) + 0.5 * tiles * tile_m
         self.lowest_amsl_m = np.full((tiles * _TILE_CELLS,) * 2, -np.inf)
-        self._found = np.zeros((tiles, tiles), dtype=bool)
+        self._bounded = np.zeros((tiles, tiles), dtype=bool)
 
     def find(self, points_ne_m: FloatArray) -> None:
         """Have the bounds of all cells between these points.  (K, 2)."""
         (*corner, cell_m), edges = self.place, np.arange(_TILE_CELLS + 1.0)
         ends = np.stack([points_ne_m.min(axis=0), points_ne_m.max(axis=0)]) - corner
         ends += [[-cell_m], [cell_m]]  # one cell more: lines look around themselves
-        low, high = np.clip(ends // (_TILE_CELLS * cell_m), 0, len(self._found) - 1).astype(int)
-        part = self._found[low[0] : high[0] + 1, low[1] : high[1] + 1]
+        low, high = np.clip(ends // (_TILE_CELLS * cell_m), 0, len(self._bounded) - 1).astype(int)
+        part = self._bounded[low[0] : high[0] + 1, low[1] : high[1] + 1]
         for first in (np.argwhere(~part) + low) * _TILE_CELLS:
             edges_m = np.array(corner)[:, None] + (first[:, None] + edges) * cell_m
             rows, columns = (slice(at, at + _TILE_CELLS) for at in first)

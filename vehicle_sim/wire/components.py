@@ -114,16 +114,16 @@ class RadarComponent(_Component):
         corner = LocalFrame(latitude_deg=place[0], longitude_deg=place[1])
         blocks = radar.answer(corner, spacing_m, asked.mask, vehicle)
         head = (asked.lat, asked.lon, spacing_m)
-        told = [
+        answers = [
             make("TERRAIN_DATA", *head, bit, self._spoilt(heights_m, conditions))
             for bit, heights_m in blocks.items()
         ]
         if conditions.frames_lost:
             kept = self._rng.random(len(blocks)) >= conditions.frames_lost
-            told = [each for each, keep in zip(told, kept, strict=True) if keep]
+            answers = [answer for answer, keep in zip(answers, kept, strict=True) if keep]
         ground_m = radar.height_amsl_m(*place)
         report = make("TERRAIN_REPORT", *head, ground_m, height_m - ground_m, 0, len(blocks))
-        return [*told, report]
+        return [*answers, report]
 
     def _spoilt(self, heights_amsl_m: list[int], conditions: RadarConditions) -> list[int]:
         """The heights as a radar in this state has them."""

@@ -46,7 +46,7 @@ class StreamParser:
     def feed(self, data: bytes) -> list[tuple[bytes, Any]]:
         """Every intact frame with its message, in order."""
         data, self._rest = self._rest + data, b""
-        found, at, size = list[tuple[bytes, Any]](), 0, len(data)
+        frames, at, size = list[tuple[bytes, Any]](), 0, len(data)
         while begin := _find_marker(data, at):
             at = begin.start()
             end = _end_of_frame(data, at)
@@ -62,9 +62,9 @@ class StreamParser:
                 # its checksum cannot be checked: believe its length only if a frame follows
                 at = end if end == size or data[end] in (_MARKER_1, MARKER_2) else at
             elif (message := _read(frame, kind)) is not None:
-                found.append((frame, message))
+                frames.append((frame, message))
                 at = end
-        return found
+        return frames
 
 
 def number_of(frame: bytes) -> int:

@@ -117,12 +117,12 @@ class Missions:
             case "MISSION_ITEM" | "MISSION_ITEM_INT":
                 return self._on_item(message, kind, sender, now_us)
             case "MISSION_REQUEST_LIST":
-                told = (len(self._plans[kind]), kind)
-                return [_said(sender, "MISSION_COUNT", *told, identity=self._id_of(kind))]
+                head = (len(self._plans[kind]), kind)
+                return [_to_client(sender, "MISSION_COUNT", *head, identity=self._id_of(kind))]
             case "MISSION_REQUEST" | "MISSION_REQUEST_INT":
                 return [self._on_request(message, kind, sender)]
             case _:  # MISSION_CLEAR_ALL
-                cleared = [each for kind in kinds for each in store(self._autopilot, kind, ())]
+                cleared = [reply for kind in kinds for reply in store(self._autopilot, kind, ())]
                 return [*cleared, _ack(sender, _ACCEPTED, number)]
 
     # --- upload -------------------------------------------------------------------------------
@@ -148,7 +148,7 @@ class Missions:
         """Ask for the next item."""
         self._asked_us = now_us
         asks = "MISSION_REQUEST_INT" if self._autopilot.is_px4 else "MISSION_REQUEST"
-        return [_said(upload.sender, asks, len(upload.items), upload.kind)]
+        return [_to_client(upload.sender, asks, len(upload.items), upload.kind)]
 
     def _fail(self, upload: _Upload, why: int) -> list[Reply]:
         """The old list stays."""
@@ -160,8 +160,10 @@ class Missions:
         if message.current == _GUIDED and isinstance(item, PlanItem):
             to = (-1.0, 0.0, 0.0, math.nan, item.x / 1e7, item.y / 1e7, item.z_m)
             command = Command(sender, 0, _DO_REPOSITION, to, item.frame)
-            told = [each for each in self._autopilot.on_command(command) if type(each) is not Ack]
-            return [*told, _ack(sender, _ACCEPTED, kind)]
+            replies = [
+                reply for reply in self._autopilot.on_command(command) if type(reply) is not Ack
+            ]
+            return [*replies, _ack(sender, _ACCEPTED, kind)]
         if upload is None and this == self._last:  # the acknowledgement was lost
             return [_ack(sender, _ACCEPTED, kind, self._id_of(kind))]
         if upload is None or this[:2] != (upload.sender, upload.kind):
@@ -204,7 +206,7 @@ class Missions:
             return _ack(to, mavlink.MAV_MISSION_INVALID_SEQUENCE, kind)
         item, whole = items[seq], message.get_type() == "MISSION_REQUEST_INT"
         current = is_mission and seq == autopilot.route.current
-        return _said(
+        return _to_client(
             to,
             "MISSION_ITEM_INT" if whole else "MISSION_ITEM",
             *(seq, item.frame, item.command, current, item.autocontinue, *item.parameters),
@@ -213,7 +215,7 @@ class Missions:
         )
 
 
-def _said(to: Sender, name: str, *fields: float, identity: int = 0) -> SendMessage:
+def _to_client(to: Sender, name: str, *fields: float, identity: int = 0) -> SendMessage:
     """A message of the mission protocol: what comes after its target."""
     number, payload = make(name, to.system, to.component, *fields)
     if identity:
@@ -222,7 +224,7 @@ def _said(to: Sender, name: str, *fields: float, identity: int = 0) -> SendMessa
 
 
 def _ack(to: Sender, result: int, kind: int, identity: int = 0) -> SendMessage:
-    return _said(to, "MISSION_ACK", result, kind, identity=identity)
+    return _to_client(to, "MISSION_ACK", result, kind, identity=identity)
 
 
 def _read(message: Any, kind: PlanKind) -> PlanItem | int:

@@ -51,7 +51,7 @@ class RangeSensors:
         self._lidar_limits_cm = [round(limit_m * 100.0) for limit_m in limits_m]
         self._echoes: dict[int, tuple[float, int]] = {}
         """By sector: how far, in centimetres, and when."""
-        self._told = set[int]()
+        self._seen = set[int]()
         """Sectors that had an echo at some time."""
         self._input_us, self._checked_us = -_TIMEOUT_US, 0
         self._sector, self._nearest_m = 0, math.inf
@@ -88,12 +88,12 @@ class RangeSensors:
         if number == RANGEFINDER:
             range_m = 0.0 if self.rangefinder_off else self._look_down()
             return [make("RANGEFINDER", range_m)] if self._has_rangefinder else []
-        found = list[Prepared]()
+        messages = list[Prepared]()
         if self._has_rangefinder and not self.rangefinder_off:
             range_cm = min(int(self._look_down() * 100.0), _UNKNOWN)
             rest = (range_cm, mavlink.MAV_DISTANCE_SENSOR_UNKNOWN, 0, _DOWN)
-            found.append(make("DISTANCE_SENSOR", now_us // 1000, *self._limits_cm, *rest))
-        return found + self._sectors(now_us)
+            messages.append(make("DISTANCE_SENSOR", now_us // 1000, *self._limits_cm, *rest))
+        return messages + self._sectors(now_us)
 
     def _sectors(self, now_us: int) -> list[Prepared]:
         """DISTANCE_SENSOR of all sectors, while any of them has an echo."""
@@ -102,7 +102,9 @@ class RangeSensors:
             self._echoes = {k: echo for k, echo in kept if now_us - echo[1] <= _TIMEOUT_US}
         if not self._echoes or self._is_dead(now_us):
             return []
-        self._told |= self._echoes.keys()
+        self._seen |= self._echoes.keys()
         head, empty = (now_us // 1000, *self._lidar_limits_cm), (self._lidar_limits_cm[1], 0)
-        told = [(k, int(self._echoes.get(k, empty)[0])) for k in sorted(self._told)]
-        return [make("DISTANCE_SENSOR", *head, cm, _LASER, _FIRST_ID + k, k) for k, cm in told]
+        distances_cm = [(k, int(self._echoes.get(k, empty)[0])) for k in sorted(self._seen)]
+        return [
+            make("DISTANCE_SENSOR", *head, cm, _LASER, _FIRST_ID + k, k) for k, cm in distances_cm
+        ]

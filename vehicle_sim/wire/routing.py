@@ -53,14 +53,14 @@ class Router:
             self._routes.add(sender)
         system: int | None = getattr(message, "target_system", None)
         component: int | None = getattr(message, "target_component", None)
-        links, ours = set[int](), not system or system == self.ids[0]
+        links, is_for_us = set[int](), not system or system == self.ids[0]
         forwards = self._forwards_all or system == self.ids[0]
         if forwards and message.get_type() not in _NEVER_FORWARDED:
             links = self._links_to(system, component) - {sender.link}
             if message.get_type() == "HEARTBEAT":  # of who is on two links it would go round
-                links -= {each.link for each in self._routes if each[:2] == sender[:2]}
-        to_autopilot = ours and component in (None, 0, self.ids[1])
-        to_radar = ours and self._radar is not None and component in (None, 0, self._radar)
+                links -= {route.link for route in self._routes if route[:2] == sender[:2]}
+        to_autopilot = is_for_us and component in (None, 0, self.ids[1])
+        to_radar = is_for_us and self._radar is not None and component in (None, 0, self._radar)
         return Route(links, to_autopilot, to_radar)
 
     def _links_to(self, system: int | None, component: int | None) -> set[int]:
@@ -71,7 +71,7 @@ class Router:
             return set(self.heard_on)
         anybody = not component or system != self.ids[0]
         return {
-            each.link
-            for each in self._routes
-            if each.system == system and (anybody or each.component == component)
+            route.link
+            for route in self._routes
+            if route.system == system and (anybody or route.component == component)
         }

@@ -44,15 +44,15 @@ class Streams:
 
     def due(self, now_us: int) -> list[tuple[int, int]]:
         """Link and message number of what is due, oldest first; each at most once."""
-        found, heap = list[tuple[int, int]](), self._heap
+        due, heap = list[tuple[int, int]](), self._heap
         while heap and heap[0][0] <= now_us:
             due_us, number, link, interval_us = heap[0]
-            found.append((link, number))
+            due.append((link, number))
             missed = (now_us - due_us) // interval_us
             due_us += (missed + 1) * interval_us
             heapq.heapreplace(heap, (due_us, number, link, interval_us))
         self.soonest_us = heap[0][0] if heap else NEVER_US
-        return found
+        return due
 
     def interval_us(self, link: int, number: int) -> int:
         """Of this message on this link; 0 if it is not streamed."""
@@ -64,7 +64,7 @@ class Streams:
         What stays as it is keeps its phase: clients ask for the same again and again.
         """
         if interval_us != self.interval_us(link, number):
-            self._heap = [each for each in self._heap if each[1:3] != (number, link)]
+            self._heap = [entry for entry in self._heap if entry[1:3] != (number, link)]
             if interval_us:
                 self._heap.append((now_us + interval_us, number, link, interval_us))
             self._order()

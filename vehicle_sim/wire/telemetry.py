@@ -80,7 +80,7 @@ class Telemetry:
         self._time_us = now_us - self._boot_us
         vars(self).pop("_status", None)
 
-    def said(self, number: int) -> Sequence[Prepared]:
+    def messages(self, number: int) -> Sequence[Prepared]:
         """All messages of this number that there are now."""
         if number in self._ranging.numbers:
             return self._ranging.messages(number, self._time_us)
@@ -208,8 +208,8 @@ class Telemetry:
         if self._is_px4 and self._estimate.origin is None:
             return None
         heights_m = self._altitude_amsl_m(), self._above_m(self._autopilot.home)
-        mm = (whole(each * 1e3) for each in heights_m)
-        cm_s = (whole(each * 100.0) for each in self._velocity_ned_m_s())
+        mm = (whole(value * 1e3) for value in heights_m)
+        cm_s = (whole(value * 100.0) for value in self._velocity_ned_m_s())
         return self._boot_ms(), *_e7(self._estimate), *mm, *cm_s, self._heading_cdeg()
 
     def _gps_raw_int(self) -> Fields | None:
@@ -220,8 +220,8 @@ class Telemetry:
         north, east = fix.velocity_north_m_s, fix.velocity_east_m_s
         dilutions = (*fix.quality[:2], math.hypot(north, east))
         course_cdeg = round(math.degrees(math.atan2(east, north)) * 100.0) % 36000
-        hundredths = (whole(each * 100.0) for each in dilutions)
-        mm = (whole(each * 1e3) for each in (fix.altitude_amsl_m, *fix.quality[2:]))
+        hundredths = (whole(value * 100.0) for value in dilutions)
+        mm = (whole(value * 1e3) for value in (fix.altitude_amsl_m, *fix.quality[2:]))
         solution = (fix.fix_type, *_e7_mm(fix), *hundredths, course_cdeg)
         return fix.time_us, *solution, fix.satellites, *mm
 

@@ -70,19 +70,19 @@ def compare_command(
     console, bar = plain_console(), plain_console(stderr=True)
     total = runs * len(comparison.cases)
     shown = partial(track, description="flying", total=total, console=bar, transient=True)
-    found = fly_all(comparison.cases, runs, seed, jobs, shown)
+    outcomes = fly_all(comparison.cases, runs, seed, jobs, shown)
     for title, row in comparison.tables.items():
-        console.print(comparisons.table(title, row, found))
-    for remark in comparison.remarks(found):
+        console.print(comparisons.table(title, row, outcomes))
+    for remark in comparison.remarks(outcomes):
         console.print(remark, highlight=False)
     if picture is not None:
         from companion.paper.compare import pictures  # slow to import
 
         with writing("--figure", picture):
-            pictures.draw(comparison, found, picture)
+            pictures.draw(comparison, outcomes, picture)
         console.out(f"picture: {picture}", highlight=False)
     if json_file is not None:
-        results = [outcome.facts() for outcome in found]
+        results = [outcome.facts() for outcome in outcomes]
         numbers = {"runs": runs, "seed": seed, "results": results}
         with writing("--json", json_file):
             json_file.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")

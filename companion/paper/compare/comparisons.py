@@ -41,13 +41,13 @@ class Comparison:
     remarks: Callable[[Sequence[Outcome]], list[str]]  # what the tables cannot say by themselves
 
 
-def table(title: str, row: Row, found: Sequence[Outcome]) -> Table:
+def table(title: str, row: Row, every: Sequence[Outcome]) -> Table:
     """A row for each outcome, under its heading; cells stay whole in a terminal of 80 columns."""
     result = Table(title=title, box=box.SIMPLE_HEAD, padding=0)
     result.add_column("", no_wrap=True)
-    for name in row(found[0]):
+    for name in row(every[0]):
         result.add_column(name, justify="right")
-    for heading, outcomes in itertools.groupby(found, lambda each: each.case.heading):
+    for heading, outcomes in itertools.groupby(every, lambda outcome: outcome.case.heading):
         result.add_row(heading)
         for outcome in outcomes:
             result.add_row(f"  {outcome.case.label}", *row(outcome).values())
@@ -100,7 +100,9 @@ def table_1(per_second: int = PER_SECOND) -> Comparison:
         "L = V T + d_s (eq. 4). No result depends on the speed of this machine. <: surely less "
         "(Mann-Whitney, 5 %, medians half a percent apart); ~: not surely."
     )
-    return Comparison(cases=cases, tables=tables, remarks=lambda found: [remark, *_orders(found)])
+    return Comparison(
+        cases=cases, tables=tables, remarks=lambda outcomes: [remark, *_orders(outcomes)]
+    )
 
 
 def _costs(outcome: Outcome) -> dict[str, str]:
@@ -114,17 +116,17 @@ def _costs(outcome: Outcome) -> dict[str, str]:
 
 
 def _broken(outcome: Outcome) -> dict[str, str]:
-    found = {words: outcome.violated(kind) for kind, words in KINDS.items()}
+    violations = {words: outcome.violated(kind) for kind, words in KINDS.items()}
     return {
         words: f"{math.ceil(100.0 * share - 1e-6)}% {mean_m:6,.0f}"
-        for words, (share, mean_m) in found.items()
+        for words, (share, mean_m) in violations.items()
     }
 
 
-def _orders(found: Sequence[Outcome]) -> list[str]:
+def _orders(every: Sequence[Outcome]) -> list[str]:
     """The algorithms by cost, here and in the paper, row by row."""
     lines = []
-    for heading, outcomes in itertools.groupby(found, lambda each: each.case.heading):
+    for heading, outcomes in itertools.groupby(every, lambda outcome: outcome.case.heading):
         row = sorted(outcomes, key=lambda outcome: outcome.case.papers_cost)
         papers_order = " < ".join(outcome.case.label for outcome in row)
         lines.append(f"{heading}: {order(row)}. The paper: {papers_order}.")
@@ -136,7 +138,7 @@ def order(row: Sequence[Outcome]) -> str:
 
     Those that never arrived come last.
     """
-    ranked = sorted(row, key=lambda each: (not each.costs, each.mean()))
+    ranked = sorted(row, key=lambda outcome: (not outcome.costs, outcome.mean()))
     words = ranked[0].case.label
     for better, worse in itertools.pairwise(ranked):
         words += (" < " if surely_less(better, worse) else " ~ ") + worse.case.label

@@ -121,7 +121,7 @@ def violations(flown: Iterable[tuple[FloatArray, float]], world: DrawnWorld) -> 
         edges_m = np.concatenate([[0.0], 0.5 * (at_m[1:] + at_m[:-1]), at_m[-1:]])
         speed = np.linalg.norm(curve.first, axis=1)
         corner = speed < _STANDS * speed.max()
-        seen = [each.distance_m(points) < each.range_m * _LESS for each in task.radars]
+        seen = [radar.distance_m(points) < radar.range_m * _LESS for radar in task.radars]
         broken = {
             "clearance": truth.terrain_distance_m(points, world.terrain, d_s) < d_s * _LESS,
             "radar": np.any([*seen, np.zeros_like(corner)], axis=0),
@@ -172,7 +172,7 @@ class Outcome:
             del run["route_nea_m"], run["scans_nea_m"]
         names = ("heading", "label", "papers_cost", "papers_way")
         evaluations = case.world.task.settings.evaluations
-        return {each: getattr(case, each) for each in names} | {
+        return {name: getattr(case, name) for name in names} | {
             "evaluations": evaluations,
             "runs": runs,
         }
@@ -192,16 +192,18 @@ def fly_all(
     """
     every = [(case, seed + k) for case in cases for k in range(runs)]
     if jobs == 1:
-        flown = [fly(*each) for each in shown(every)]
+        flown = [fly(*arguments) for arguments in shown(every)]
     else:
         extras.need("campaign", "--jobs", jobs)
-        found = dict[int, Run]()
-        with closing(worked(lambda each: fly(*each), every, jobs=min(jobs, len(every)))) as working:
+        by_number = dict[int, Run]()
+        with closing(
+            worked(lambda arguments: fly(*arguments), every, jobs=min(jobs, len(every)))
+        ) as working:
             for number, run in shown(working):
                 if isinstance(run, Exception):
                     raise run
-                found[number] = run
-        flown = [found[number] for number in range(len(every))]
+                by_number[number] = run
+        flown = [by_number[number] for number in range(len(every))]
     return [
         Outcome(case=case, runs=flown[k * runs : (k + 1) * runs]) for k, case in enumerate(cases)
     ]

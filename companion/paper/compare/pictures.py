@@ -18,18 +18,18 @@ from companion.world.simulated import true_map
 _WIDE = 160  # characters in a line of the text under the panels
 
 
-def draw(comparison: Comparison, found: Sequence[Outcome], path: Path) -> None:
+def draw(comparison: Comparison, outcomes: Sequence[Outcome], path: Path) -> None:
     """Write Fig. 3 or Fig. 4: two panels seen at an angle, under each its profile or plan."""
     canvas = Figure(figsize=(15.0, 12.2))
     FigureCanvasAgg(canvas)
     (title,) = comparison.tables
     canvas.text(0.03, 0.967, title, fontsize=18, weight="bold", parse_math=False)
-    remarks = comparison.remarks(found)
-    lines = "\n".join(line for each in remarks for line in textwrap.wrap(each, _WIDE))
+    remarks = comparison.remarks(outcomes)
+    lines = "\n".join(line for remark in remarks for line in textwrap.wrap(remark, _WIDE))
     style: dict[str, Any] = {"fontsize": 11.5, "va": "bottom", "parse_math": False}
     canvas.text(0.03, 0.012, lines, color="#333333", **style)
     lower, places = [], (("a", "c", 0.02), ("b", "d", 0.51))
-    for outcome, (letter, below_letter, left) in zip(found, places, strict=True):
+    for outcome, (letter, below_letter, left) in zip(outcomes, places, strict=True):
         flight, way = _flight(outcome), outcome.case.papers_way
         box = (left, 0.525, 0.47, 0.42)
         views.draw_oblique(canvas.add_axes(box, projection="3d", label="oblique"), flight)
