@@ -23,7 +23,7 @@ BASELINE = ROOT / "tests/baseline/mutants.jsonl"
 PARTS = ("planner", "path", "world", "mission", "mavlink", "replay", "telemetry")
 _SWAPS = {"<": "<=", ">": ">=", "==": "!=", "is": "is not", "in": "not in", "+": "-", "*": "/"}
 _SWAPS |= {"and": "or", "min": "max", "minimum": "maximum"}
-_SWAPS |= {other: each for each, other in _SWAPS.items()}
+_SWAPS |= {other: token for token, other in _SWAPS.items()}
 _TOKEN = rb"[<>]=?|[=!]=|[-+*/]|\b(?:is(?:\s+not)?|(?:not\s+)?in|and|or|m(?:in|ax)(?:imum)?)\b"
 _LEFT_ALONE = ("annotation", "returns", "decorator_list")  # of any node
 
@@ -50,7 +50,7 @@ def mutants_of(source: bytes, file: str) -> list[Mutant]:
     """Every mutant of a file, in its order."""
     lines = source.splitlines(keepends=True)
     begins = [0, *accumulate(map(len, lines))]
-    found: list[tuple[int, int, str, str, str]] = []
+    places: list[tuple[int, int, str, str, str]] = []
 
     def span(node: Any) -> tuple[int, int]:
         start = begins[node.lineno - 1] + node.col_offset
@@ -62,7 +62,7 @@ def mutants_of(source: bytes, file: str) -> list[Mutant]:
         if token and b"#" not in source[start:end]:
             word = " ".join(token[0].decode().split())
             place = start + token.start(), start + token.end()
-            found.append((*place, function, f"{word} -> {_SWAPS[word]}", _SWAPS[word]))
+            places.append((*place, function, f"{word} -> {_SWAPS[word]}", _SWAPS[word]))
 
     def visit(node: Any, function: str) -> None:
         operands: list[ast.AST] = []
@@ -83,15 +83,15 @@ def mutants_of(source: bytes, file: str) -> list[Mutant]:
                 )
             case ast.UnaryOp(op=ast.Not()):
                 start = span(node)[0]
-                found.append((start, start + 3, function, "not dropped", ""))
+                places.append((start, start + 3, function, "not dropped", ""))
             case ast.Constant(value=bool()):
-                found.append((*span(node), function, "constant", repr(not node.value)))
+                places.append((*span(node), function, "constant", repr(not node.value)))
             case ast.Constant(value=int() | float()):
-                found.append((*span(node), function, "constant", repr(node.value + 1)))
+                places.append((*span(node), function, "constant", repr(node.value + 1)))
             case ast.Return(value=ast.AST()) if ast.unparse(node.value) != "None":
-                found.append((*span(node.value), function, "return None", "None"))
+                places.append((*span(node.value), function, "return None", "None"))
             case ast.Expr(value=ast.Call()):
-                found.append((*span(node), function, "call dropped", "pass"))
+                places.append((*span(node), function, "call dropped", "pass"))
             case ast.Call(func=ast.Name(id=name) | ast.Attribute(attr=name)):
                 if name in ("min", "max", "minimum", "maximum"):
                     swap(function, span(node.func)[1] - len(name), span(node.func)[1])
@@ -105,7 +105,7 @@ def mutants_of(source: bytes, file: str) -> list[Mutant]:
     visit(ast.parse(source), "")
     seen: Counter[tuple[str, str, str]] = Counter()
     mutants = []
-    for start, end, function, operator, new in sorted(found):
+    for start, end, function, operator, new in sorted(places):
         row = bisect_right(begins, start)
         name = function or "<module>", operator, lines[row - 1].decode().strip()
         mutants.append(Mutant(file, *name, seen[name], row, start, end, new))
@@ -129,18 +129,18 @@ def _python(folder: str, pattern: str = "*") -> list[str]:
 def found_again(entry: dict[str, Any]) -> Mutant | None:
     """A mutant of the baseline: in its place, in another file, or in a function renamed."""
     file, function, *rest = (entry[field] for field in Mutant._fields[:5])
-    here = [m for m in (of_file(file) if (ROOT / file).exists() else ()) if [*m[2:5]] == rest]
-    if same := [each for each in here if each.function == function]:
+    alike = [m for m in (of_file(file) if (ROOT / file).exists() else ()) if [*m[2:5]] == rest]
+    if same := [mutant for mutant in alike if mutant.function == function]:
         return same[0]
     moved = [m for other in _python("companion") for m in of_file(other) if [*m[2:5]] == rest]
     last = function.rpartition(".")[2]
-    same = [m for m in moved if m.function.rpartition(".")[2] == last] or here
+    same = [m for m in moved if m.function.rpartition(".")[2] == last] or alike
     return same[0] if len(same) == 1 else None
 
 
 def drawn(part: str, number: int, seed: int) -> list[Mutant]:
     """So many mutants of a part, anywhere in it."""
-    every = [each for file in _python(f"companion/{part}") for each in of_file(file)]
+    every = [mutant for file in _python(f"companion/{part}") for mutant in of_file(file)]
     return random.Random(f"{seed} {part}").sample(every, min(number, len(every)))
 
 
@@ -168,13 +168,13 @@ class Copy:
             stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
         ) as child:  # fmt: skip
             try:
-                said, _ = child.communicate(timeout=seconds)
+                output, _ = child.communicate(timeout=seconds)
             except subprocess.TimeoutExpired:
                 os.killpg(child.pid, signal.SIGKILL)
-                said = "FAILED late"
+                output = "FAILED late"
         if mutant is not None:
             shutil.copy2(ROOT / mutant.file, self.root / mutant.file)
-        failed = re.findall(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
+        failed = re.findall(r"^(?:FAILED|ERROR) (\S+)", output, re.MULTILINE)
         return failed or (["crashed"] if child.returncode not in (0, 5) else [])
 
 
@@ -196,7 +196,9 @@ def killers_of(entry: dict[str, Any]) -> list[str]:
 def tests_of(mutant: Mutant) -> list[str]:
     """The folders of the tests of its part; at least those of the session."""
     folders = [f"tests/{part}" for part in Path(mutant.file).parts[1:-1]]
-    return [each for each in folders if (ROOT / each).is_dir()] or _python("tests", "test_session*")
+    return [folder for folder in folders if (ROOT / folder).is_dir()] or _python(
+        "tests", "test_session*"
+    )
 
 
 def main() -> None:

@@ -62,12 +62,12 @@ def section(title: str, kind: type, schema: Schema | None = None, left_out: str 
     for key, value in schema["properties"].items():
         if key in left_out.split() or _tables_of(value):
             continue
-        said, default = _said(value), value.get("default")
+        value_words, default = _in_words(value), value.get("default")
         if key not in needed and default is None:
-            said = f"{said.removesuffix(' or null')}; may be left out"
+            value_words = f"{value_words.removesuffix(' or null')}; may be left out"
         elif key not in needed and not isinstance(default, (list, dict)):
-            said += f"; {_shown(default) or 'empty'} if left out"
-        rows.append(f"| `{key}` | {said} | {words.get(key, '')} |\n")
+            value_words += f"; {_shown(default) or 'empty'} if left out"
+        rows.append(f"| `{key}` | {value_words} | {words.get(key, '')} |\n")
     head = "\n| field | value | |\n|---|---|---|\n" if rows else ""
     return f"{title}\n\n{' '.join((kind.__doc__ or '').split())}\n{head}{''.join(rows)}"
 
@@ -76,23 +76,23 @@ def words_of(kind: type) -> dict[str, str]:
     """What stands below each field of a class."""
     [declared] = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
     assert isinstance(declared, ast.ClassDef)
-    found = dict[str, str]()
+    by_field = dict[str, str]()
     for field, text in pairwise(declared.body):
         match field, text:
             case (
                 ast.AnnAssign(target=ast.Name(id=name)),
                 ast.Expr(value=ast.Constant(value=str(words))),
             ):
-                found[name] = " ".join(words.split())
+                by_field[name] = " ".join(words.split())
             case _:
                 pass
-    return found
+    return by_field
 
 
 def _tables_of(value: Schema) -> list[str]:
     """The classes of a world file that are tables below a key."""
     names = (
-        each.get("$ref", "").rpartition("/")[2] for each in _either(value.get("items") or value)
+        schema.get("$ref", "").rpartition("/")[2] for schema in _either(value.get("items") or value)
     )
     return [name for name in names if "properties" in _WORLD["$defs"].get(name, ())]
 
@@ -101,7 +101,7 @@ def _either(value: Schema) -> list[Schema]:
     return list(value.get("anyOf", [value]))
 
 
-def _said(value: Schema) -> str:
+def _in_words(value: Schema) -> str:
     """What may stand there: words, or a type and its range."""
     return " or ".join(dict.fromkeys(map(_one, _either(value))))
 
@@ -110,14 +110,14 @@ def _one(value: Schema) -> str:
     named = _DEFINED.get(value.get("$ref", "").rpartition("/")[2], {})
     value = named if "enum" in named else value
     if words := value.get("enum", [value["const"]] if "const" in value else []):
-        return ", ".join(f"`{_shown(each)}`" for each in words)
+        return ", ".join(f"`{_shown(choice)}`" for choice in words)
     if value.get("type") == "array" and "prefixItems" in value:
-        each = tuple(map(_one, value["prefixItems"]))
-        return _PLACES.get(each) or f"({', '.join(each)})"
+        kinds = tuple(map(_one, value["prefixItems"]))
+        return _PLACES.get(kinds) or f"({', '.join(kinds)})"
     if value.get("type") == "array":
-        return f"list of {_said(value['items'])}"
+        return f"list of {_in_words(value['items'])}"
     if inner := value.get("additionalProperties"):
-        return f"object of names: {_said(inner)}"
+        return f"object of names: {_in_words(inner)}"
     above, low, high = (value.get(k) for k in ("exclusiveMinimum", "minimum", "maximum"))
     bounds = [f"> {_shown(above)}"] if above is not None else []
     bounds += [f"from {_shown(low)}"] if low is not None and above is None else []
@@ -163,7 +163,9 @@ def world_page() -> str:
                 visit(_WORLD["$defs"][name], f"{path}{key}.")
 
     visit(_WORLD, "")
-    tables = [(f"## {', '.join(each)}", getattr(world, name)) for name, each in places.items()]
+    tables = [
+        (f"## {', '.join(headers)}", getattr(world, name)) for name, headers in places.items()
+    ]
     first = section("## The file itself", world.World, _WORLD)
     return "\n".join([first, *(section(title, kind) for title, kind in tables)])
 
@@ -178,17 +180,17 @@ def mission_states_page() -> str:
         for before in trigger.origins
     ]
     lines += ["    done --> [*]", "    faulted --> [*]", "```", ""]
-    for each in Trigger:  # drawn, they would hide the rest
-        if each not in rare:
-            names = ", ".join(before.value for before in each.origins)
-            leads = f"`{each.name.lower()}` leads from {names} to {each.after.value}"
+    for moved_on_by in Trigger:  # drawn, they would hide the rest
+        if moved_on_by not in rare:
+            names = ", ".join(before.value for before in moved_on_by.origins)
+            leads = f"`{moved_on_by.name.lower()}` leads from {names} to {moved_on_by.after.value}"
             lines.append(f"Not drawn: {leads}.")
     lines += ["", "## Triggers", "", "| trigger | when |", "|---|---|"]
     lines += [f"| `{trigger.name.lower()}` | {trigger.when} |" for trigger in Trigger]
     lines += ["", "## Holds", "", "How a vehicle is held, in the phase holding, by the reason:", ""]
     lines += ["| by | who holds it | reasons |", "|---|---|---|"]
     for by in By:
-        reasons = ", ".join(f"`{each.name}`" for each in Reason if each.by is by)
+        reasons = ", ".join(f"`{reason.name}`" for reason in Reason if reason.by is by)
         reasons = "all others" if by is By.MODE else reasons
         lines.append(f"| {by.name.lower()} | {by.value} | {reasons} |")
     return "\n".join(lines) + "\n"
@@ -203,7 +205,7 @@ def troubleshooting_page() -> str:
     lines = ["| message | what to do |", "|---|---|"]
     for reason in Reason:
         lines.append(f"| {reason.text} | {reason.remedy} |")
-        refusals = [each for each in Refusal if each is not Refusal.TOO_MANY_LEGS]
+        refusals = [refusal for refusal in Refusal if refusal is not Refusal.TOO_MANY_LEGS]
         for refusal in refusals if reason is Reason.NO_PLAN else ():
             why, _, remedy = refusal.value.partition("; ")
             why = "it broke BOUND (SETTING), ..." if refusal is Refusal.NOTHING_SAFE else why
@@ -217,7 +219,9 @@ def house() -> str:
     Floors are the layers that import-linter holds; what nearly all need is left out.
     """
     contracts = _PROJECT["tool"]["importlinter"]["contracts"]
-    floors = next(each["layers"] for each in contracts if each.get("containers") == ["companion"])
+    floors = next(
+        contract["layers"] for contract in contracts if contract.get("containers") == ["companion"]
+    )
     names = [name for floor in floors for name in re.split(r" \| ", floor)]
     graph, leads = grimp.build_graph("companion", cache_dir=None), dict[str, set[str]]()
     for module in graph.modules:
@@ -227,9 +231,9 @@ def house() -> str:
     beyond = dict[str, set[str]]()  # from the lowest floor up: all that each leads to
     lines = list[str]()
     for name in reversed(names):
-        found = leads.get(name, set()) & set(names) - {name} - _CELLAR
-        direct = found - {each for other in found for each in beyond[other]}
-        beyond[name] = found.union(*(beyond[other] for other in found))
+        imported = leads.get(name, set()) & set(names) - {name} - _CELLAR
+        direct = imported - {lower for other in imported for lower in beyond[other]}
+        beyond[name] = imported.union(*(beyond[other] for other in imported))
         if name not in _CELLAR:
             lines += [f"    {name} --> {other}" for other in sorted(direct, reverse=True)]
     return "\n".join(["```mermaid", "flowchart TD", *reversed(lines), "```", ""])
@@ -249,31 +253,31 @@ def _room(module: str, names: list[str]) -> str:
 
 def needed(requirements: list[str]) -> dict[str, Distribution]:
     """What these requirements bring on this machine, by name, with all that they need in turn."""
-    found = dict[str, Distribution]()
-    wanted = [Requirement(each) for each in requirements]
+    needs = dict[str, Distribution]()
+    wanted = [Requirement(text) for text in requirements]
     while wanted:
         requirement = wanted.pop()
         name = canonicalize_name(requirement.name)
         extras = requirement.extras or {""}
-        if name in found and extras == {""}:
+        if name in needs and extras == {""}:
             continue
-        found[name] = distribution(name)
-        for each in map(Requirement, found[name].requires or ()):
-            if each.marker is None or any(each.marker.evaluate({"extra": e}) for e in extras):
-                wanted.append(each)
-    return found
+        needs[name] = distribution(name)
+        for need in map(Requirement, needs[name].requires or ()):
+            if need.marker is None or any(need.marker.evaluate({"extra": e}) for e in extras):
+                wanted.append(need)
+    return needs
 
 
 def _licence(package: Distribution) -> str:
     """As its authors declare it: by an expression, by a classifier, or by a word."""
 
-    def told(field: str) -> str:
+    def metadata(field: str) -> str:
         return "\n".join(package.metadata.get_all(field) or ())
 
     pattern = r"^License :: (?:.* :: )?(?!OSI Approved$)(.+)$"
-    classified = re.findall(pattern, told("Classifier"), re.MULTILINE)
-    words = (told("License").strip().splitlines() or ["not stated"])[0]
-    return told("License-Expression") or ", ".join(classified) or words
+    classified = re.findall(pattern, metadata("Classifier"), re.MULTILINE)
+    words = (metadata("License").strip().splitlines() or ["not stated"])[0]
+    return metadata("License-Expression") or ", ".join(classified) or words
 
 
 def notices() -> str:

@@ -22,16 +22,16 @@ from brute_force import Case, Truth, broken_by, random_case, truth
 from companion.path.certificate import Certificate
 
 
-def optimistic(case: Case, told: Certificate, real: Truth) -> list[str]:
+def optimistic(case: Case, certificate: Certificate, real: Truth) -> list[str]:
     """The numbers of a certificate that the truth breaks."""
-    wrong = broken_by(told, real)
-    if told.proven and not keeps(case, real, 0.0, 0.0, -2e-6):
+    wrong = broken_by(certificate, real)
+    if certificate.proven and not keeps(case, real, 0.0, 0.0, -2e-6):
         wrong.append("proven")
-    if case.peaks is not None and told.proven:
+    if case.peaks is not None and certificate.proven:
         near = 1.5 * case.task.required_clearance_m
         around_m = case.task.limits.loiter_radius_m
         far_m = brute.surface_distance_m(case.peaks, real.nearest_nea_m, near, around_m)
-        if far_m < told.clearance_m - 1e-3:
+        if far_m < certificate.clearance_m - 1e-3:
             wrong.append("true surface")
     return wrong
 
@@ -55,13 +55,13 @@ def keeps(case: Case, real: Truth, terrain_m: float, dead_man_m: float, zone_m: 
 
 def judged(case: Case) -> dict[str, Any]:
     """What is told of a case, and what is so."""
-    told, real = case.certificate(), truth(case, samples=120)
+    certificate, real = case.certificate(), truth(case, samples=120)
     margin_m = 0.02 * (case.task.required_clearance_m - case.task.envelope.contact_m)
     return {
-        "proven": told.proven,
-        "broken": ", ".join(told.broken),
-        "pieces": told.pieces,
-        "optimistic": optimistic(case, told, real),
+        "proven": certificate.proven,
+        "broken": ", ".join(certificate.broken),
+        "pieces": certificate.pieces,
+        "optimistic": optimistic(case, certificate, real),
         "is safe": keeps(case, real, 0.0, 0.0, 0.0),  # by the columns, without any allowance
         "is safe by far": case.peaks is None and keeps(case, real, margin_m, margin_m, margin_m),
     }
@@ -69,16 +69,16 @@ def judged(case: Case) -> dict[str, Any]:
 
 def certificate(cases: int = 10_000, seed: int = 1) -> Found:
     """So many random cases."""
-    found = [judged(random_case(np.random.default_rng([seed, k]))) for k in range(cases)]
-    wrong = sum(len(each["optimistic"]) for each in found)
-    by_far = [each for each in found if each["is safe by far"]]
-    rejected = [each["broken"] for each in by_far if not each["proven"]]
-    at_all = [not each["proven"] for each in found if each["is safe"]]
+    cases_judged = [judged(random_case(np.random.default_rng([seed, k]))) for k in range(cases)]
+    wrong = sum(len(case["optimistic"]) for case in cases_judged)
+    by_far = [case for case in cases_judged if case["is safe by far"]]
+    rejected = [case["broken"] for case in by_far if not case["proven"]]
+    at_all = [not case["proven"] for case in cases_judged if case["is safe"]]
     share = 100.0 * len(rejected) / max(len(by_far), 1)
-    pieces = np.percentile([each["pieces"] for each in found], (50, 95)).tolist()
+    pieces = np.percentile([case["pieces"] for case in cases_judged], (50, 95)).tolist()
     for what, value in {
         "cases": cases,
-        "proven": sum(each["proven"] for each in found),
+        "proven": sum(case["proven"] for case in cases_judged),
         "optimistic": wrong,
         "safe by far": len(by_far),
         "of these rejected, %": share,

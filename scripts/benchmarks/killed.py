@@ -83,8 +83,8 @@ class Watcher:
                     there = np.array([it.x, it.y, it.z, it.vx, it.vy, it.vz])
                     self._target = at_s, self._origin + there
                 case "SET_POSITION_TARGET_GLOBAL_INT":
-                    told = _state(it.lat_int, it.lon_int, it.alt, it.vx, it.vy, it.vz)
-                    self._on_setpoint(at_s, told)
+                    setpoint = _state(it.lat_int, it.lon_int, it.alt, it.vx, it.vy, it.vz)
+                    self._on_setpoint(at_s, setpoint)
 
     def _on_setpoint(self, at_s: float, now: FloatArray) -> None:
         near, gap_s = list[FloatArray](), 0.0
@@ -96,8 +96,8 @@ class Watcher:
         if self._vehicle is not None:
             near.append(self._vehicle)
         if near:
-            apart = np.linalg.norm((np.array(near) - now).reshape(-1, 2, 3), axis=-1)
-            metres, speed = apart[apart.sum(axis=1).argmin()].tolist()
+            differences = np.linalg.norm((np.array(near) - now).reshape(-1, 2, 3), axis=-1)
+            metres, speed = differences[differences.sum(axis=1).argmin()].tolist()
             is_first = self.life != self._last_life
             self.jumps.append(Jump(at_s, self.life, is_first, metres, speed, gap_s))
         self._last, self._last_life = (at_s, now), self.life
@@ -135,10 +135,10 @@ def fly(autopilot: AutopilotName, kills: int, seed: int, folder: Path) -> tuple[
                 lives += 1
                 dies_s = time.monotonic() + rng.uniform(*_LIFE_S)
         flies_s, code = time.monotonic() - began_s, pair.companion.poll()
-        said = f"{lives - 1} kills in {flies_s:.0f} s; the last life ended with {code}"
+        summary = f"{lives - 1} kills in {flies_s:.0f} s; the last life ended with {code}"
         if code != 0 or lives <= kills:
-            raise SystemExit(f"{said}\n{pair.said()}")
-    return watcher, said
+            raise SystemExit(f"{summary}\n{pair.last_printed()}")
+    return watcher, summary
 
 
 def killed(
@@ -146,12 +146,12 @@ def killed(
 ) -> Found:
     """Fly it, and hold the jumps of its setpoints."""
     with tempfile.TemporaryDirectory() as folder:
-        watcher, said = fly(autopilot, kills, seed, Path(folder))
-    yield said
-    yield [each._asdict() for each in watcher.jumps]
+        watcher, summary = fly(autopilot, kills, seed, Path(folder))
+    yield summary
+    yield [jump._asdict() for jump in watcher.jumps]
     for name, is_first in (("first setpoints of a life", True), ("other setpoints", False)):
         jumps = [(j.metres, j.speed_m_s) for j in watcher.jumps if j.first == is_first]
-        largest = [max(each) for each in zip(*jumps, strict=True)] or [0.0, 0.0]
+        largest = [max(column) for column in zip(*jumps, strict=True)] or [0.0, 0.0]
         yield most(f"jumps of {len(jumps)} {name}, m and m/s", largest, (1.0, 1.0))
 
 

@@ -93,8 +93,8 @@ class Proven(NamedTuple):
         share = _shares(off[..., :2], reaches[:, :2])[..., None]
         aside = np.linalg.norm(off[..., :2] - share * reaches[:, :2], axis=-1)
         rise, height = share[..., 0] * reaches[:, 2], off[..., 2]  # where it flies level: between
-        apart = height - np.clip(height, np.minimum(rise, 0.0), np.maximum(rise, 0.0))
-        on_stretch = np.hypot(aside, apart) - self.motion.aside_m
+        off_level = height - np.clip(height, np.minimum(rise, 0.0), np.maximum(rise, 0.0))
+        on_stretch = np.hypot(aside, off_level) - self.motion.aside_m
         gaps = np.minimum(on_curve.min(axis=1), on_stretch.min(axis=1))
         return np.asarray(gaps - self.motion.error_m)
 
@@ -153,9 +153,9 @@ class KilledFlight(Flight):
         if leg is None or (self._legs and leg is self._legs[0][0]):
             return
         same = leg.plan_id, leg.number  # its p_prog is known now
-        before = [each for each in self._legs if (each[0].plan_id, each[0].number) != same]
+        before = [flown for flown in self._legs if (flown[0].plan_id, flown[0].number) != same]
         rests = self._from_rest.get(leg.plan_id, False) and not (before and before[0][0].through)
-        behind_m = itertools.accumulate(each.successor_at_m for each, _ in before)
+        behind_m = itertools.accumulate(flown.successor_at_m for flown, _ in before)
         late = sum(each_m < leg.motion.lag_m for each_m in behind_m)
         self._legs = [(leg, rests), *before[: late + 1]]
 
@@ -169,9 +169,9 @@ class KilledFlight(Flight):
                 os._exit(0)
         os.close(write)
         os.waitpid(child, 0)
-        found: dict[str, Any] = pickle.loads(os.read(read, 65_536))
+        kill: dict[str, Any] = pickle.loads(os.read(read, 65_536))
         os.close(read)
-        return found
+        return kill
 
     def _flies_on(self) -> dict[str, Any]:
         """Without a companion, and how far that leads out of what was proven."""
@@ -199,9 +199,9 @@ class KilledFlight(Flight):
         if path and path.next_leg and points_m > path.leg.successor_at_m:
             legs = [(path.next_leg, False), *legs]
         outside = np.full(len(where), math.inf)
-        for each, from_rest in legs:
-            told = proven(each, from_rest=from_rest, near_m=at_m)
-            outside = np.minimum(outside, told.outside_m(where))
+        for its_leg, from_rest in legs:
+            around = proven(its_leg, from_rest=from_rest, near_m=at_m)
+            outside = np.minimum(outside, around.outside_m(where))
         return {
             "at_s": began_s,
             "outside_m": float(outside.max()),
@@ -295,7 +295,7 @@ def killed(
     """So many kills at each scale with each autopilot, of flights with seeds from the first on."""
     scales = tuple(_SCALES) if scale == "all" else (scale,)
     autopilots = ("ardupilot", "px4") if autopilot == "all" else (autopilot,)
-    found = list[dict[str, Any]]()
+    every = list[dict[str, Any]]()
     for settings in itertools.product(scales, autopilots):
         mine = sample(*settings, first, kills)
         outside = np.array([kill["outside_m"] for kill in mine])
@@ -307,9 +307,9 @@ def killed(
             "margin left: least, m|.2f": -outside.max(),
             "1 %, m|.2f": -np.percentile(outside, 99.0),
         }
-        found += mine
-    yield found
-    yield most("killed and outside", sum(kill["outside_m"] > 0.0 for kill in found), 0)
+        every += mine
+    yield every
+    yield most("killed and outside", sum(kill["outside_m"] > 0.0 for kill in every), 0)
 
 
 if __name__ == "__main__":

@@ -72,7 +72,7 @@ def measured(
 def called(name: str, seconds: float = 60.0) -> list[tuple[int, int]]:
     """Calls and modules of our own, from each position to a setpoint that is all that it brings."""
     it = Flight(load_mission(name), read_world(folder_of(name) / "world.toml"), seed=1)
-    found, until_s = list[tuple[int, int]](), np.inf
+    counts, until_s = list[tuple[int, int]](), np.inf
     while it.now_s < until_s and not it.is_over:
         it.simulation.step()
         for _, frame in it.simulation.take_frames():
@@ -81,10 +81,10 @@ def called(name: str, seconds: float = 60.0) -> list[tuple[int, int]]:
             for answer in answers:
                 it.simulation.receive(0, answer)
             if number_of(frame) == _POSITION.id and [*map(number_of, answers)] == [_SETPOINT.id]:
-                found.append((mine.calls, len(mine.files)))
+                counts.append((mine.calls, len(mine.files)))
         if it.phase is Phase.FLYING:
             until_s = min(until_s, it.now_s + seconds)
-    return found
+    return counts
 
 
 def latency(

@@ -79,8 +79,8 @@ class Grid:
     def need_at_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
         """The lowest altitude that keeps the clearance, by a cubic spline: smooth."""
         at = (north_m - self.north_m[0]) / _SURFACE_M, (east_m - self.east_m[0]) / _SURFACE_M
-        found = map_coordinates(self._spline, at, order=3, mode="nearest", prefilter=False)
-        return np.asarray(found)
+        needs = map_coordinates(self._spline, at, order=3, mode="nearest", prefilter=False)
+        return np.asarray(needs)
 
     def rate(self, *, over: bool, radar_free: bool) -> FloatArray:
         """Cost per metre; infinite: closed."""
@@ -103,13 +103,13 @@ class Grid:
         self, rate: FloatArray, count: int, ends_ne_m: tuple[tuple[float, float], ...]
     ) -> list[tuple[float, FloatArray]]:
         """The cheapest way and others that differ: cost in metres, (N, 2) points."""
-        found: list[tuple[float, FloatArray]] = []
+        ways: list[tuple[float, FloatArray]] = []
         first = self._graph(rate)
         columns, graph = len(self.east_m[:: self._stride]), first
         corner = np.array([self.north_m[0], self.east_m[0]])
         spacing_m = self._stride * _SURFACE_M
         cells = np.round((np.array(ends_ne_m) - corner) / spacing_m).astype(int)
-        while len(found) < count:
+        while len(ways) < count:
             way = np.array(cheapest(graph, *(cells @ [columns, 1]).tolist()), dtype=np.intp)
             if not len(way):
                 break
@@ -117,10 +117,10 @@ class Grid:
             cost_m = float(np.maximum(first[*steps], first[*steps[::-1]]).sum()) * _SURFACE_M
             route = corner + spacing_m * np.stack(np.divmod(way, columns), axis=-1)
             route[[0, -1]] = ends_ne_m
-            found.append((cost_m, route))
+            ways.append((cost_m, route))
             rate = rate * self._dearer_near(route)
             graph = self._graph(rate)
-        return found
+        return ways
 
     def _graph(self, rate: FloatArray) -> csr_array:
         size = math.prod(rate[:: self._stride, :: self._stride].shape)
@@ -171,7 +171,9 @@ class Descent:
         self.quadrature = np.full(count + 1, 1.0 / count)
         self.quadrature[[0, -1]] *= 0.5
 
-    def told(self, state: NDArray[np.complex128], length_m: float) -> tuple[FloatArray, FloatArray]:
+    def terms(
+        self, state: NDArray[np.complex128], length_m: float
+    ) -> tuple[FloatArray, FloatArray]:
         """Kilometres of level flight per parameter, (...), and bounds, kept where <= 0, (B, ...).
 
         state: north, east, altitude, their first derivatives, and the second of the first two.
@@ -183,9 +185,9 @@ class Descent:
         band_m = world.ceiling_amsl_m - world.floor_amsl_m
         rate = 1.0 + self.grid.high * (up - world.floor_amsl_m) / band_m
         at, ahead = np.array([north.real[0], east.real[0]]), _NEXT_M * np.eye(3)[:, :2, None]
-        by_n, by_e, here = self.grid.need_at_m(*np.moveaxis(at + ahead, 1, 0))
-        slope_n, slope_e = (by_n - here) / _NEXT_M, (by_e - here) / _NEXT_M
-        need = here + 1j * (slope_n * north.imag + slope_e * east.imag)
+        by_n, by_e, need_m = self.grid.need_at_m(*np.moveaxis(at + ahead, 1, 0))
+        slope_n, slope_e = (by_n - need_m) / _NEXT_M, (by_e - need_m) / _NEXT_M
+        need = need_m + 1j * (slope_n * north.imag + slope_e * east.imag)
         bounds = [(need + self.margins.clearance_m - up) / _SCALE_M]
         for radar in world.task.radars:
             n, e, z = radar.centre_nea_m
@@ -221,16 +223,16 @@ class Descent:
         multipliers: FloatArray | float = 0.0
         weight = self.quadrature * _PUSH
 
-        def told(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        def terms_at(points: FloatArray) -> tuple[FloatArray, FloatArray]:
             r, v, a = self.basis @ points
             state = np.concatenate([r.T, v.T, a.T[:2]])
             step = 1j * _STEP * np.eye(len(state))[:, :, None]
-            return self.told(state[:, None] + step, length_m)
+            return self.terms(state[:, None] + step, length_m)
 
         def lagrangian(x: FloatArray) -> tuple[float, FloatArray]:
             points = control.copy()
             points[free] = x * _SCALE_M
-            cost, bounds = told(points)
+            cost, bounds = terms_at(points)
             push = bounds * _STIFF + multipliers
             push = np.where(push.real > 0.0, push, 0.0)
             whole = self.quadrature * cost + weight * (push**2).sum(axis=0) / (2.0 * _STIFF)
@@ -245,7 +247,7 @@ class Descent:
                 options={"maxiter": iterations, "maxcor": 20, "ftol": 1e-10, "gtol": 1e-7},
             )  # fmt: skip
             control[free] = done.x * _SCALE_M
-            multipliers = np.maximum(told(control)[1].real * _STIFF + multipliers, 0.0)
+            multipliers = np.maximum(terms_at(control)[1].real * _STIFF + multipliers, 0.0)
         return control
 
 
@@ -272,16 +274,16 @@ class Solver:
 
         -> cost in metres of level flight, (N, 2) points.
         """
-        found: list[tuple[float, FloatArray]] = []
+        ways: list[tuple[float, FloatArray]] = []
         for over, radar_free in ((False, True), (True, True), (True, False)):
             rate = self.grid.rate(over=over, radar_free=radar_free)
-            found += self.grid.ways(rate, _EACH, self.ends_ne_m)
-        found.sort(key=lambda way: way[0])
+            ways += self.grid.ways(rate, _EACH, self.ends_ne_m)
+        ways.sort(key=lambda way: way[0])
         chosen: list[tuple[float, FloatArray]] = []
-        for cost, route in found:
+        for cost, route in ways:
             shape = _evenly(route, 120)
             near_any = any(_apart_m(shape, _evenly(other, 120)) < 1_500.0 for _, other in chosen)
-            if cost <= _DEARER * found[0][0] and not near_any and len(chosen) < _MOST:
+            if cost <= _DEARER * ways[0][0] and not near_any and len(chosen) < _MOST:
                 chosen.append((cost, route))
         return chosen
 
@@ -317,18 +319,18 @@ class Solver:
         hard = [radar for radar in task.radars if radar not in soft]
         for _ in range(5):
             curve = truth.sampled(control, 2.0)
-            found = truth.measure(curve, self.world.terrain, task)
+            measured = truth.measure(curve, self.world.terrain, task)
             into = max((_depth_m(curve.points_nea_m, radar) for radar in hard), default=-math.inf)
-            if not found.violations(task) and into <= 0.0:
+            if not measured.violations(task) and into <= 0.0:
                 return sum(library.route_terms(curve.points_nea_m, task).values()), control
             steepest = max(
-                math.tan(found.climb_rad) / math.tan(limits.climb_angle_rad),
-                math.tan(found.dive_rad) / math.tan(limits.dive_angle_rad),
+                math.tan(measured.climb_rad) / math.tan(limits.climb_angle_rad),
+                math.tan(measured.dive_rad) / math.tan(limits.dive_angle_rad),
             )
-            bent, into = limits.turn_radius_m / found.turn_radius_m, max(into, 0.0)
-            into = max(into, required_m - found.keep_out_m)
+            bent, into = limits.turn_radius_m / measured.turn_radius_m, max(into, 0.0)
+            into = max(into, required_m - measured.keep_out_m)
             margins = Margins(
-                clearance_m=margins.clearance_m + 1.6 * max(required_m - found.clearance_m, 0.0),
+                clearance_m=margins.clearance_m + 1.6 * max(required_m - measured.clearance_m, 0.0),
                 radar_m=margins.radar_m + 1.2 * into,
                 turn=margins.turn + 1.2 * max(bent - 1.0, 0.0),
                 climb=margins.climb + 1.2 * max(steepest - 1.0, 0.0),
@@ -363,7 +365,7 @@ def optimum(world: DrawnWorld) -> tuple[float, FloatArray]:
             many = solver.improved(refined(few, round(60 * finer)), soft, 120)
             points = truth.sampled(many, 50.0).points_nea_m
             if sum(library.route_terms(points, world.task).values()) <= 1.01 * best[0]:
-                best = min(best, solver.mended(many, soft), key=lambda found: found[0])
+                best = min(best, solver.mended(many, soft), key=lambda route: route[0])
     if not math.isfinite(best[0]):
         raise ValueError(f"{world.name}: no feasible route was found")
     return best
@@ -436,13 +438,13 @@ def best_of_place(place: Place) -> float | None:
 def place_of(row: Row) -> Place:
     """Where a run was flown."""
     where = ("world", "mission", "family", "family_seed", "family_index")
-    return Place("", *(row[each] for each in where))
+    return Place("", *(row[column] for column in where))
 
 
 def ratios(rows: Sequence[Row], known: dict[Place, float | None]) -> FloatArray:
     """J / J* of the runs that arrived, where J* is known."""
-    found = [(row["cost"], known[place_of(row)]) for row in rows if row["arrived"]]
-    return np.array([cost / best for cost, best in found if cost and best])
+    pairs = [(row["cost"], known[place_of(row)]) for row in rows if row["arrived"]]
+    return np.array([cost / best for cost, best in pairs if cost and best])
 
 
 def beside(
@@ -465,9 +467,9 @@ def beside(
         where = row["family"] or row["world"]
         groups[where, row["planner"], row["knowledge"], row["optimiser"]].append(row)
     for key, mine in groups.items():
-        found = ratios(mine, known)
-        spread = [np.median(found), found.mean(), np.quantile(found, 0.9), found.max()]
-        spread = [float(each) for each in spread] if len(found) else []
+        ratio = ratios(mine, known)
+        spread = [np.median(ratio), ratio.mean(), np.quantile(ratio, 0.9), ratio.max()]
+        spread = [float(value) for value in spread] if len(ratio) else []
         if key[1:3] == ("ours", "scans"):
             bars.append(most(f"J / J*, {key[0]}: median, mean, 90 %, worst", spread, BARS))
             wrong = sum(row["violations"] or 0 for row in mine)
@@ -479,7 +481,7 @@ def beside(
             "arrived": sum(row["arrived"] for row in mine),
             "without J*": sum(known[place_of(row)] is None for row in mine),
         } | dict(zip(headings, spread or [None] * 4, strict=True))
-        yield [", ".join(key), found.tolist()]
+        yield [", ".join(key), ratio.tolist()]
     yield from bars
 
 

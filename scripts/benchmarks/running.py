@@ -43,10 +43,12 @@ class Bar(NamedTuple):
 
 def most(what: str, measured: Sequence[float] | float, bars: Sequence[float] | float) -> Bar:
     """No value may be above its bar; without values the bar is missed."""
-    values, limits = (each if isinstance(each, Sequence) else [each] for each in (measured, bars))
+    values, limits = (
+        numbers if isinstance(numbers, Sequence) else [numbers] for numbers in (measured, bars)
+    )
     kept = len(values) == len(limits) and all(map(operator.le, values, limits))
-    told = (", ".join(f"{value:.4g}" for value in each) for each in (limits, values))
-    return Bar(what, *told, kept)
+    words = (", ".join(f"{value:.4g}" for value in numbers) for numbers in (limits, values))
+    return Bar(what, *words, kept)
 
 
 def least(what: str, measured: float, bar: float) -> Bar:
@@ -71,12 +73,12 @@ def main(measure: Callable[..., Found]) -> None:
     parser.add_argument("--json", type=Path, help="where the numbers are written")
     options = vars(parser.parse_args())
     path = options.pop("json")
-    found = shown(measure(**options))
-    bars: list[Bar] = found["bars"]
+    results = shown(measure(**options))
+    bars: list[Bar] = results["bars"]
     if bars:
         _print([bar._asdict() | {"kept": "met" if bar.kept else "missed"} for bar in bars])
     if path is not None:
-        path.write_text(json.dumps(found, indent=1, default=_plain) + "\n", encoding="utf-8")
+        path.write_text(json.dumps(results, indent=1, default=_plain) + "\n", encoding="utf-8")
     sys.exit(not all(bar.kept for bar in bars))
 
 
@@ -94,11 +96,11 @@ def shown(results: Iterable[Any]) -> dict[str, list[Any]]:
             _print(rows)
             kept["rows"] += [{name.partition("|")[0]: row[name] for name in row} for row in rows]
             continue
-        for each in some:
-            if isinstance(each, str):
-                CONSOLE.print(each)
+        for result in some:
+            if isinstance(result, str):
+                CONSOLE.print(result)
             else:
-                kept["bars" if isinstance(each, Bar) else "found"].append(each)
+                kept["bars" if isinstance(result, Bar) else "found"].append(result)
     return kept
 
 
@@ -121,6 +123,6 @@ def in_processes(
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        futures = [pool.submit(task, *each) for each in todo]
+        futures = [pool.submit(task, *arguments) for arguments in todo]
         for future in track(futures, "measuring", console=CONSOLE, transient=True):
             yield future.result()

@@ -80,9 +80,9 @@ def alone(seconds: float) -> tuple[float, float]:
                 if resident := re.search(r"VmRSS:\s+(\d+)", status.read_text(encoding="ascii")):
                     size_mb = int(resident[1]) / 1024
                 time.sleep(0.1)
-            said = vehicle.communicate()[0]
+            printed = vehicle.communicate()[0]
         answering.kill()
-    return float(_SAID.findall(said)[-1]), size_mb
+    return float(_SAID.findall(printed)[-1]), size_mb
 
 
 def over_udp(name: str, folder: Path) -> float:
@@ -108,8 +108,8 @@ def replayed(folder: Path, *options: str) -> float:
     report = folder / "replay.json"
     command = [BIN / "companion", "replay", folder / "run", "--json", report, *options]
     subprocess.run(list(map(str, command)), check=True, stdout=subprocess.DEVNULL)
-    found: dict[str, Any] = json.loads(report.read_text(encoding="utf-8"))
-    return float(found["flown_s"] / found["took_s"])
+    replayed: dict[str, Any] = json.loads(report.read_text(encoding="utf-8"))
+    return float(replayed["flown_s"] / replayed["took_s"])
 
 
 def in_one_process(name: str) -> float:
@@ -139,15 +139,15 @@ def start_up_s() -> float:
 
 def called(name: str, seconds: float = 60.0) -> list[tuple[int, int]]:
     """Calls of the simulator's own functions in each step of a flight, and modules."""
-    it, found = Flight(load_mission(name), read_world(world_of(name)), seed=1), []
+    it, counts = Flight(load_mission(name), read_world(world_of(name)), seed=1), []
     while it.now_s < seconds:
         with Called("/vehicle_sim/") as mine:
             it.simulation.step()
             frames = it.simulation.take_frames()
-        found.append((mine.calls, len(mine.files)))
+        counts.append((mine.calls, len(mine.files)))
         for answer in (answer for _, frame in frames for answer in it.answers(frame)):
             it.simulation.receive(0, answer)
-    return found
+    return counts
 
 
 def simulator(seconds: float = 300.0, hours: float = 2.0, repeats: int = 3) -> Found:
@@ -158,9 +158,11 @@ def simulator(seconds: float = 300.0, hours: float = 2.0, repeats: int = 3) -> F
     for name in MISSIONS:
         with TemporaryDirectory() as scratch:
             folders = [Path(scratch) / str(k) for k in range(repeats)]
-            times[f"{name}: over UDP in lockstep"] = max(over_udp(name, each) for each in folders)
+            times[f"{name}: over UDP in lockstep"] = max(
+                over_udp(name, folder) for folder in folders
+            )
             times[f"{name}: replay, plans too"] = replayed(folders[0])
-            again = max(replayed(each, "--no-plans") for each in folders)
+            again = max(replayed(folder, "--no-plans") for folder in folders)
             times[f"{name}: replay without planning"] = again
         one = max(in_one_process(name) for _ in range(repeats))
         times[f"{name}: in one process, by processor time"] = one

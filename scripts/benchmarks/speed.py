@@ -60,7 +60,7 @@ def timed(times_ms: list[float], function: Callable[..., Any]) -> Callable[..., 
 def flown(environment: str, seed: int) -> list[float]:
     """How long each plan of a mission took: bundled, among near things, or of a drawn world."""
     if environment in families.FAMILIES:
-        return [1e3 * each for each in fly_alone(families.world(environment, seed, 0)).plan_s]
+        return [1e3 * seconds for seconds in fly_alone(families.world(environment, seed, 0)).plan_s]
     times_ms = list[float]()
     scene = scene_of(environment, seed) if environment in ("street", "forest") else None
     fly(environment, environment, scene=scene, planner=timed(times_ms, plan), seed=seed)
@@ -107,8 +107,8 @@ def speed(
             bars.append(most(f"{name}: a plan, median and 99 %, ms", (median, slowest), _BARS_MS))
         bars.append(most(f"{name}: guidance, median, ms", guided, _GUIDANCE_BAR_MS))
     yield from bars
-    said = subprocess.run([sys.executable, "-c", _FIRST_PLAN], capture_output=True, check=True)
-    yield most("from the start of a process to its first plan, s", float(said.stdout), 1.0)
+    printed = subprocess.run([sys.executable, "-c", _FIRST_PLAN], capture_output=True, check=True)
+    yield most("from the start of a process to its first plan, s", float(printed.stdout), 1.0)
     first_s = min(_first_heartbeat_s() for _ in range(3))
     yield most("companion fly to first heartbeat, s", first_s, 1.5)
 

@@ -50,12 +50,12 @@ class Flight:
     def answers(self, frame: bytes) -> list[bytes]:
         """What the companion says to a frame."""
         self.session.receive(frame, self.now_s)
-        out, said = self.session.run(), list[bytes]()
+        out, frames = self.session.run(), list[bytes]()
         while True:
             self._asked = out.plan or self._asked
-            said += out.frames
+            frames += out.frames
             if not out.awaits_plan:
-                return said
+                return frames
             assert self._asked is not None
             self.session.deliver(self.planned(self._asked))
             out = self.session.run()

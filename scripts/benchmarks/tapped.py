@@ -121,7 +121,7 @@ class Tapped:
                         self._vehicle.sendto(data, self._peer)
                 self._seen(TO_COMPANION if is_vehicle else TO_VEHICLE, at_s, data)
 
-    def said(self) -> str:
+    def last_printed(self) -> str:
         """The last of what the companion printed."""
         return self.log.read_text(encoding="utf-8")[-3000:]
 

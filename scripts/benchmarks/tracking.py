@@ -17,8 +17,8 @@ import tracked
 def both(real: Any, sim: Any, **columns: str) -> dict[str, str]:
     """The measured and the simulated value of each field: format after a colon, two by a slash."""
     cells = {}
-    for heading, told in columns.items():
-        fields, _, form = told.partition(":")
+    for heading, spec in columns.items():
+        fields, _, form = spec.partition(":")
         form, _, unit = form.partition(" ")
         for whose, one in (("", real), (", sim", sim)):
             values = " / ".join(format(getattr(one, name), form) for name in fields.split("/"))
@@ -49,8 +49,8 @@ def tracking() -> Found:
     yield "\nJumps of the target: peak speed, and seconds until within 1 m for good.\n"
     for jump in tracked.JUMPS:
         sim = tracked.jump(jump)
-        told = both(jump, sim, peak="peak_m_s:.1f m/s", within="within_s:.1f s")
-        yield {"jump": jump.what} | told
+        cells = both(jump, sim, peak="peak_m_s:.1f m/s", within="within_s:.1f s")
+        yield {"jump": jump.what} | cells
     yield "\n## ArduPlane (ardupilot.md 7)\n"
     yield "A weaving route at 21 m/s; off path, rms / max, metres.\n"
     for name, law, lateral, hz, real in tracked.PLANE_ROWS:

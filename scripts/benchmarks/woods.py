@@ -53,32 +53,34 @@ class AStar:
         self.away_m = np.full(near.lattice.shape, self._most_m)
         """How far the cells are from what stands, up to some distance."""
 
-    def look(self, near: NearMap, here: complex, reach_m: float) -> None:
+    def look(self, near: NearMap, place: complex, reach_m: float) -> None:
         """The map may have changed within reach of a place."""
-        point = np.array([[here.real, here.imag]])
-        told = near.lattice.about(point, reach_m + self._most_m)
+        point = np.array([[place.real, place.imag]])
+        changed = near.lattice.about(point, reach_m + self._most_m)
         wide = near.lattice.about(point, reach_m + 2.0 * self._most_m)
         stands = near.occupied(wide) & near.sharp[wide]
         away_m = np.full(stands.shape, np.inf)
         if stands.any():
             away_m = scipy.ndimage.distance_transform_edt(~stands) - 0.5
         rows, columns = (
-            slice(a.start - b.start, a.stop - b.start) for a, b in zip(told, wide, strict=True)
+            slice(a.start - b.start, a.stop - b.start) for a, b in zip(changed, wide, strict=True)
         )
-        self.away_m[told] = np.clip(away_m[rows, columns] * self.lattice.cell_m, 0.0, self._most_m)
+        self.away_m[changed] = np.clip(
+            away_m[rows, columns] * self.lattice.cell_m, 0.0, self._most_m
+        )
 
-    def aim(self, here: complex) -> complex:
+    def aim(self, place: complex) -> complex:
         """Where to fly straight to; here if there is no way."""
         lattice = self.lattice
         corner = complex(lattice.north_min_m, lattice.east_min_m)
-        ends = np.array([here, self._target]) - corner
+        ends = np.array([place, self._target]) - corner
         cells = np.stack([ends.real, ends.imag], axis=-1) / lattice.cell_m
         start, end = np.clip(cells.astype(int), 0, np.array(lattice.shape) - 1)
         rate = np.where(self.away_m >= self._required_m, 1.0, _DEAR)
         way = a_star(np.where(self.away_m > 0.0, rate, np.inf), tuple(start), tuple(end))
         places = corner + (way @ np.array([1.0, 1.0j]) + 0.5 + 0.5j) * lattice.cell_m
         if not len(places):
-            return here
+            return place
         along_m = np.append(0.0, np.cumsum(np.abs(np.diff(places))))
         if along_m[-1] <= self._ahead_m:
             return self._target
@@ -126,9 +128,9 @@ def scene_of(name: str, seed: int) -> NearScene:
     ground_m = world.terrain.ground_amsl_m or 0.0
     floor_m = load_mission(name).task.limits.floor_amsl_m - ground_m
     seen = [
-        Thing(corners_ne_m=each.corners_ne_m, half_width_m=each.half_width_m, closed=each.closed)
-        for each in world.scene().things
-        if each.height_m > floor_m and math.isinf(each.hangs_m)
+        Thing(corners_ne_m=thing.corners_ne_m, half_width_m=thing.half_width_m, closed=thing.closed)
+        for thing in world.scene().things
+        if thing.height_m > floor_m and math.isinf(thing.hangs_m)
     ]
     return NearScene(seen, rate_hz=1.0 / _STEP_S)
 
@@ -185,25 +187,25 @@ def _by_rival(name: str, scene: NearScene) -> tuple[float, FloatArray]:
     assert mission.known is not None
     assert mission.near is not None
     on_board = OnBoard(mission.near, scene, task, mission.known)
-    target, here, velocity = complex(*mission.targets_ne_m[0]), complex(*start), 0j
+    target, place, velocity = complex(*mission.targets_ne_m[0]), complex(*start), 0j
     range_m, limits = task.settings.scan_range_m, task.limits
     pilot = AStar(on_board.near, target, task.required_clearance_m, range_m)
     on_board.look(start, 0.0, 0.0, seconds=2.0)
-    way, seconds, aim = [here], 0.0, here
-    while abs(here - target) >= _AT_M:
-        pilot.look(on_board.near, here, range_m + 2.0)
+    way, seconds, aim = [place], 0.0, place
+    while abs(place - target) >= _AT_M:
+        pilot.look(on_board.near, place, range_m + 2.0)
         if round(seconds / _STEP_S) % round(_DECIDES_S / _STEP_S) == 0:
-            aim = pilot.aim(here)
-        away = aim - here
-        speed_m_s = math.sqrt(limits.acceleration_m_s2 * abs(target - here))
+            aim = pilot.aim(place)
+        away = aim - place
+        speed_m_s = math.sqrt(limits.acceleration_m_s2 * abs(target - place))
         speed_m_s = min(limits.speed_m_s, speed_m_s, 2.0 * abs(away))
         change = speed_m_s * away / max(abs(away), 1e-6) - velocity
         velocity += change * min(limits.acceleration_m_s2 * _STEP_S / max(abs(change), 1e-6), 1.0)
-        here, seconds = here + velocity * _STEP_S, seconds + _STEP_S
+        place, seconds = place + velocity * _STEP_S, seconds + _STEP_S
         heading_rad = math.atan2(velocity.imag, velocity.real)
-        on_board.look((here.real, here.imag), heading_rad, abs(velocity), seconds=_STEP_S)
-        way.append(here)
-        if seconds > _LIMIT_S or scene.gaps_m(np.array([[here.real, here.imag]]))[0] <= 0.0:
+        on_board.look((place.real, place.imag), heading_rad, abs(velocity), seconds=_STEP_S)
+        way.append(place)
+        if seconds > _LIMIT_S or scene.gaps_m(np.array([[place.real, place.imag]]))[0] <= 0.0:
             seconds = math.inf
             break
     return seconds, np.stack([np.real(way), np.imag(way)], axis=-1)
@@ -223,28 +225,30 @@ def woods(
     flown = [*in_processes(fly, todo, jobs)]
     median_s = dict[tuple[str, str], float]()
     for name, who in product(worlds, (COMPANION, RIVAL)):
-        mine = [each for each in flown if (each["world"], each["pilot"]) == (name, who)]
-        arrived = [each for each in mine if each["seconds"] < math.inf]
-        lost = [each for each in mine if each["seconds"] == math.inf]
-        nearest_m = min(each["nearest_m"] for each in mine)
-        median_s[name, who] = _middle(each["seconds"] for each in arrived)
+        mine = [flight for flight in flown if (flight["world"], flight["pilot"]) == (name, who)]
+        arrived = [flight for flight in mine if flight["seconds"] < math.inf]
+        lost = [flight for flight in mine if flight["seconds"] == math.inf]
+        nearest_m = min(flight["nearest_m"] for flight in mine)
+        median_s[name, who] = _middle(flight["seconds"] for flight in arrived)
         yield {
             "among near things": f"{name}, {who}",
             "arrived": f"{len(arrived)} of {len(mine)}",
-            "held": sum(each["nearest_m"] > 0.0 for each in lost),
-            "touched": sum(each["nearest_m"] <= 0.0 for each in mine),
+            "held": sum(flight["nearest_m"] > 0.0 for flight in lost),
+            "touched": sum(flight["nearest_m"] <= 0.0 for flight in mine),
             "least, m|.2f": nearest_m,
             "flown / straight|.2f": _middle(e["flown_m"] / e["straight_m"] for e in arrived),
-            "m/s|.2f": _middle(each["flown_m"] / each["seconds"] for each in arrived),
+            "m/s|.2f": _middle(flight["flown_m"] / flight["seconds"] for flight in arrived),
             "s|.0f": median_s[name, who],
             "holds|.0f": _middle(e["holds"] for e in mine if e["holds"] is not None),
-            "why": "; ".join(f"{each['seed']}: {each['end']}" for each in mine if each["end"]),
+            "why": "; ".join(
+                f"{flight['seed']}: {flight['end']}" for flight in mine if flight["end"]
+            ),
         }
         if who == COMPANION:
             safety_m = load_mission(name).task.settings.safety_distance_m
             bars.append(least(f"{name}: least distance, m", nearest_m, safety_m))
             bars.append(least(f"{name}: arrived", len(arrived), len(mine)))
-            silent = sum(not each["end"] for each in lost)
+            silent = sum(not flight["end"] for flight in lost)
             bars.append(most(f"{name}: ended without a reason", silent, 0))
     yield flown
     yield from bars
