@@ -65,7 +65,7 @@ def measured(
         if loaded:
             load.kill()
         if code != 0:
-            raise SystemExit(f"the companion did not arrive ({code}):\n{pair.said()}")
+            raise SystemExit(f"the companion did not arrive ({code}):\n{pair.last_printed()}")
     return (1e3 * np.array(waits_s)).tolist(), (1e3 * np.diff(out_s)).tolist()
 
 
