@@ -102,18 +102,15 @@ def shell_commands() -> set[str]:
     return {each[1].strip() for each in found if each}
 
 
-def executed() -> list[str]:
-    """What of them is executed here."""
-    return sorted(line for line in shell_commands() if not any(re.match(r, line) for r in NOT_RUN))
-
-
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return run_folder(tmp_path_factory.mktemp("flight"))
 
 
 @pytest.mark.xdist_group("commands of the pages")
-@pytest.mark.parametrize("line", executed())
+@pytest.mark.parametrize(
+    "line", sorted(e for e in shell_commands() if not any(re.match(r, e) for r in NOT_RUN))
+)
 def test_a_command_of_the_pages_does_what_it_says(
     line: str, flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -177,11 +174,14 @@ def test_nothing_names_a_place_outside_the_repository() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_the_links_of_a_page_lead_to_files(page: Path) -> None:
-    text = page.read_text(encoding="utf-8")
-    for target in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", text):
-        if "://" not in target:
-            assert (page.parent / target).exists(), target
+def test_the_links_of_a_page_lead_to_files_and_headings(page: Path) -> None:
+    for link in re.findall(r"\]\(([^)]+)\)", page.read_text(encoding="utf-8")):
+        target, _, anchor = link.partition("#")
+        there = page.parent / target if target else page
+        assert "://" in link or there.exists(), link
+        if anchor and there.suffix == ".md":
+            heads = re.findall(r"^#+ (.*)", there.read_text(encoding="utf-8"), re.M)
+            assert anchor in {re.sub(r"[^\w -]", "", h.lower()).replace(" ", "-") for h in heads}
 
 
 def test_what_is_added_beyond_the_budget_fails_the_checks(
