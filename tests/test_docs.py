@@ -96,7 +96,8 @@ def shell_commands() -> set[str]:
     blocks = [
         block
         for page in PAGES
-        for block in re.findall(r"^```\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
+        for block in re.findall(r"^```\w*\n.*?^```", page.read_text(encoding="utf-8"), re.M | re.S)
+        if block.startswith("```\n")
     ]
     found = (SHELL.fullmatch(line) for line in "".join(blocks).splitlines())
     return {each[1].strip() for each in found if each}
