@@ -57,7 +57,7 @@ class Flown:
     terms: dict[str, float]
     """`length`, `height` and `radar` of eq. 5, along what was flown."""
     cost: float
-    """J, the sum of the terms: what docs/results/benchmarks.md compares with the optimum."""
+    """J, the sum of the terms: what docs/lab/benchmarks.md compares with the optimum."""
     seconds: float
     """About how long it takes, with its stops."""
     certificates: tuple[Certificate, ...]

@@ -14,8 +14,8 @@ ROOT = Path(__file__).parents[1]
 _ROW = re.compile(r"^\| ([\w ]+) \| (`.+`) \| ([\d,]+) \|", re.MULTILINE)
 _COUNTED = (".py", ".toml", ".j2", ".parm", ".table", ".boot")
 _NO_CODE = re.compile(r"(mission|world)\.toml$|/missions/")
-_PAGE = re.compile(r"(?!docs/(architecture|design)\.md)([^/]+/)?[^/]+\.md")
-"""Those for users: no decisions, results and references, and none for engineers."""
+_PAGE = re.compile(r"(?!docs/(architecture|decisions|design)\.md)([^/]+/)?[^/]+\.md")
+"""Those for users: no lab notes and references, and none for engineers."""
 _WORDS, _SCRIPTS = "pages for users", "scripts"
 
 

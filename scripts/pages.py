@@ -300,7 +300,7 @@ PAGES: Final = {
     "docs/reference/journal": journal_page,
     "docs/reference/mission-states": mission_states_page,
     "docs/reference/world": world_page,
-    "docs/troubleshooting": troubleshooting_page,
+    "docs/reference/troubleshooting": troubleshooting_page,
     "THIRD-PARTY": notices,
 }
 

@@ -27,7 +27,7 @@ PAGES = sorted(
     [ROOT / "README.md", ROOT / "tests/recordings/README.md", *(ROOT / "docs").rglob("*.md")]
 )
 PROGRAMS = ("companion", "vehicle-sim")
-PLACEHOLDERS = re.compile(r"[A-Z][A-Z_.]*|mission\.toml|\S+\.plan|world\.toml")
+PLACEHOLDERS = re.compile(r"[A-Z][A-Z_.]*|(hill/)?(mission|world)\.toml|\S+\.plan")
 """Words that stand for what the reader puts in their place."""
 ELSEWHERE = {"offboard.md"}
 """A page of PX4's own documentation."""
@@ -74,6 +74,7 @@ PROGRAM = (
     r"(?:companion|vehicle-sim|python|scripts/\w+|build/\S+|cd|ls|make|mavproxy\.py|pip|printf"
     r"|sim_vehicle\.py|sudo)"
 )
+TOML = r"^```toml\n(.*?)^```"
 SHELL = re.compile(rf"(?:\$ )?((?:\w+=\S+ )*{PROGRAM}(?: .*?)?)(?:\s+#\s.*)?")
 NOT_RUN = {
     r"companion (fly|preflight) ": "needs a vehicle: closed_loop/ and runtime/ have simulated ones",
@@ -82,7 +83,7 @@ NOT_RUN = {
     r"companion compare ": "takes minutes: compare/ computes a part of it",
     r"companion replay (RUN_DIR|runs/)": "of a whole flight: test_release and closed_loop/",
     r"vehicle-sim": "until its client leaves: vehicle_sim/ and interop/",
-    r"scripts/fly$": "sets a clone up: test_ci; its flight: closed_loop/",
+    r"scripts/fly": "sets a clone up: test_ci; its flight: closed_loop/",
     r"(sim_vehicle\.py|mavproxy\.py|make|build/\S+|PX4_\S+) ": "programs of others: interop/",
     r"(sudo|ls|printf|pip) ": "about the reader's own computer",
     r"scripts/conformance ": "takes minutes: vehicle_sim/",
@@ -95,15 +96,11 @@ def shell_commands() -> set[str]:
     blocks = [
         block
         for page in PAGES
-        for block in re.findall(r"^```\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
+        for block in re.findall(r"^```\w*\n.*?^```", page.read_text(encoding="utf-8"), re.M | re.S)
+        if block.startswith("```\n")
     ]
     found = (SHELL.fullmatch(line) for line in "".join(blocks).splitlines())
     return {each[1].strip() for each in found if each}
-
-
-def executed() -> list[str]:
-    """What of them is executed here."""
-    return sorted(line for line in shell_commands() if not any(re.match(r, line) for r in NOT_RUN))
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +109,9 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.xdist_group("commands of the pages")
-@pytest.mark.parametrize("line", executed())
+@pytest.mark.parametrize(
+    "line", sorted(e for e in shell_commands() if not any(re.match(r, e) for r in NOT_RUN))
+)
 def test_a_command_of_the_pages_does_what_it_says(
     line: str, flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -120,18 +119,15 @@ def test_a_command_of_the_pages_does_what_it_says(
     meant = {"RUN_DIR": str(flight), "MISSION": "sitl-px4", "LOG": log, "FILE": log}
     words = [meant.get(word, log if word == "flight.bin" else word) for word in shlex.split(line)]
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "hill").mkdir()
+    files = {"README.md": ["mission"], "docs/first-flight.md": ["hill/world", "hill/mission"]}
+    for page, names in files.items():
+        text = (ROOT / page).read_text(encoding="utf-8")
+        for name, block in zip(names, re.findall(TOML, text, re.M | re.S), strict=True):
+            (tmp_path / f"{name}.toml").write_text(block, encoding="utf-8")
     code, shown, said = answered(*words[1:])
     assert code == 0, (shown, said)
     assert shown.strip()
-
-
-def test_the_mission_of_the_readme_can_be_flown(tmp_path: Path) -> None:
-    page = (ROOT / "README.md").read_text(encoding="utf-8")
-    (mission,) = re.findall(r"^```toml\n(.*?)^```", page, re.M | re.S)
-    (tmp_path / "mission.toml").write_text(mission, encoding="utf-8")
-    code, shown, said = answered("check", str(tmp_path / "mission.toml"))
-    assert (code, said) == (0, "")
-    assert "land there" in shown
 
 
 def texts() -> list[tuple[Path, str]]:
@@ -179,11 +175,14 @@ def test_nothing_names_a_place_outside_the_repository() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_the_links_of_a_page_lead_to_files(page: Path) -> None:
-    text = page.read_text(encoding="utf-8")
-    for target in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", text):
-        if "://" not in target:
-            assert (page.parent / target).exists(), target
+def test_the_links_of_a_page_lead_to_files_and_headings(page: Path) -> None:
+    for link in re.findall(r"\]\(([^)]+)\)", page.read_text(encoding="utf-8")):
+        target, _, anchor = link.partition("#")
+        there = page.parent / target if target else page
+        assert "://" in link or there.exists(), link
+        if anchor and there.suffix == ".md":
+            heads = re.findall(r"^#+ (.*)", there.read_text(encoding="utf-8"), re.M)
+            assert anchor in {re.sub(r"[^\w -]", "", h.lower()).replace(" ", "-") for h in heads}
 
 
 def test_what_is_added_beyond_the_budget_fails_the_checks(
@@ -206,7 +205,8 @@ def test_what_is_added_beyond_the_budget_fails_the_checks(
 
 
 def test_missions_for_simulations_and_parameters_that_are_judged_are_on_the_page() -> None:
-    page = (ROOT / "docs" / "connecting.md").read_text(encoding="utf-8")
+    pages = ("connecting.md", "reference/parameters.md")
+    page = "".join((ROOT / "docs" / each).read_text(encoding="utf-8") for each in pages)
     names = {name for name in bundled() if name.startswith("sitl-")}
     names |= {rule.name for each in ALL for rule in each.rules if rule.check}
     assert {name for name in names if f"`{name}`" not in page} == set()

@@ -118,7 +118,7 @@ def test_in_the_valley_start_and_target_are_low_and_clear_and_the_straight_way_i
 
 
 def test_the_posts_stand_where_those_of_ardupilots_simulation_do() -> None:
-    """SITL.cpp:1327-1332 (docs/reference/proximity.md 1): lanes 8 m wide between them."""
+    """SITL.cpp:1327-1332 (docs/lab/proximity.md 1): lanes 8 m wide between them."""
     world, mission = read("posts")
     rows = range(-10, 10)
     places = sorted((3.0 + 10.0 * i, 2.0 + 10.0 * j) for i in rows for j in rows)

@@ -11,7 +11,7 @@ import companion
 from companion import cli
 from companion.errors import FlightFailed, FlightInterrupted, InputError
 
-CONNECTING = Path(__file__).parents[1] / "docs" / "connecting.md"
+IN_FLIGHT = Path(__file__).parents[1] / "docs" / "in-flight.md"
 SERVICE = Path(__file__).parents[1] / "deploy" / "companion.service"
 STOPPED, CRASHED = 130, 70
 
@@ -35,7 +35,7 @@ def test_the_service_starts_again_what_may_go_on_and_nothing_that_was_decided() 
     assert not decided & {FlightInterrupted.exit_code, CRASHED}
     assert "Restart=on-failure" in text
     assert "StartLimitIntervalSec=0" in text  # a vehicle in the air is not given up for trying
-    page = CONNECTING.read_text(encoding="utf-8")
+    page = IN_FLIGHT.read_text(encoding="utf-8")
     for code in (0, *decided, FlightInterrupted.exit_code, CRASHED):
         assert f"| {code} |" in page
 

@@ -1,6 +1,6 @@
 """Families of random worlds to measure missions in, each world from (family, seed, index) alone.
 
-The default seed draws the worlds of docs/results/benchmarks.md; another seed draws fresh ones.
+The default seed draws the worlds of docs/lab/benchmarks.md; another seed draws fresh ones.
 Every world has a way through at the floor of the band, outside all radars and keep-outs, which a
 flood fill that shares no code with the planner proves, and its straight line is barred; a world
 without is drawn again.  Whoever changes the order of draws changes the worlds.

@@ -1,6 +1,6 @@
 """What lidars and the like say of near things, as sweeps.
 
-Measured on real autopilots (docs/reference/proximity.md), whose traps decide what is believed here:
+Measured on real autopilots (docs/lab/proximity.md), whose traps decide what is believed here:
 the silence of a lidar behind an autopilot means that nothing is in reach, or that it is dead; "max"
 does not mean empty; a value is repeated for up to 1.75 s; what we send comes back from others.
 """

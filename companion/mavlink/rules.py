@@ -2,7 +2,7 @@
 
 Rules compare in SI units (angles in degrees); results are in the autopilot's own.  Which ones an
 autopilot has stands in its module of `autopilots/`, beside the checks that it alone needs.  What
-only deserves a look is not here, but in docs/connecting.md.
+only deserves a look is not here, but in docs/reference/parameters.md.
 """
 
 import math

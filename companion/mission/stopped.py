@@ -49,7 +49,7 @@ _TOLD_S = 30.0  # that guided mode is asked for on a person's word
 _TROUBLES = 8
 _MAX_STOPS = 100
 """On the way to one target, for want of a successor: flights have arrived after 50 between houses,
-and after 24 in front of a wall with one gap (docs/results/benchmarks.md)."""
+and after 24 in front of a wall with one gap (docs/lab/benchmarks.md)."""
 _PAUSE_S = 2.0  # between attempts to plan from rest
 _SENSOR_S = 15.0  # for a sensor to see again, before each of them
 _THERE_M = 1.0

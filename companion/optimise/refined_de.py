@@ -1,7 +1,7 @@
 """The search of profile `flight`: the paper's improved DE (eq. 13-18), refined.
 
 What differs from `improved_de`, each part measured (planner-numbers, part C;
-docs/results/benchmarks.md):
+docs/lab/benchmarks.md):
 
 - x_best of eq. 17 is one of the p best, x_r1 half the time the member itself, and x_r3 may come
   from an archive of beaten parents (as in JADE: Zhang and Sanderson, IEEE Trans. Evol. Comp. 13,
@@ -49,7 +49,7 @@ variable that certainly changes, whose place in the archive is taken; from CROSS
 
 
 class Settings(NamedTuple):
-    """The refined DE's parameters; the defaults were measured (docs/results/benchmarks.md)."""
+    """The refined DE's parameters; the defaults were measured (docs/lab/benchmarks.md)."""
 
     population: int = 0  # members at the start; 0: as the budget allows, 60 for 3,000 evaluations
     smallest: int = 6  # members at the end of the linear reduction

@@ -1,6 +1,6 @@
 """The paper's objective of a subpath, f = sum a_i f_i (eq. 5), term by term.
 
-Where the paper is silent, `docs/results/paper.md` says how it is settled; its rows are named here.
+Where the paper is silent, `docs/lab/paper.md` says how it is settled; its rows are named here.
 Samples at u = j / 10, j = 1 .. 10, uniform in u (row 9).
 """
 

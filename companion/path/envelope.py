@@ -60,7 +60,7 @@ COPTER = Handling(
 )
 """Where the autopilot is not known, the widest: as a PX4 multicopter is flown.
 
-turning_s2: docs/results/tracking.md, 0.43 m at 0.5 m/s2, 1.26 m at 1.3, 1.51 m at 2; lag_s: it is
+turning_s2: docs/lab/tracking.md, 0.43 m at 0.5 m/s2, 1.26 m at 1.3, 1.51 m at 2; lag_s: it is
 up to 1.3 m/s faster than a point that brakes with 1.5 m/s2 (`scripts/bench kills`)."""
 PLANE = Handling(name="plane", eased=1.0, settling_s=0.0, steady_m=0.0, turning_s2=0.0)
 """Its circle is proven about each point of the path, and its tracking is the mission's."""

@@ -48,7 +48,7 @@ class PeakTable(Table):
 class PeaksTable(Table):
     """The true terrain of a world."""
 
-    combine: Literal["maximum", "sum"]
+    combine: Literal["maximum", "sum"] = "maximum"
     ground_amsl_m: Altitude
     peaks: list[PeakTable] = Field(default=[])
 

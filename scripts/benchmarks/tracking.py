@@ -1,6 +1,6 @@
 """How the four simulated autopilots follow setpoints, beside what was measured on the real ones.
 
-scripts/bench tracking       the tables of docs/results/tracking.md
+scripts/bench tracking       the tables of docs/lab/tracking.md
 """
 
 import math

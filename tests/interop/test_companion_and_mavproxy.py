@@ -35,7 +35,7 @@ def vehicle(programs: Any, tmp_path: Path) -> Any:
 def test_what_is_typed_at_a_mavproxy_on_another_link_of_the_vehicle_is_for_the_companion(
     companion: Any, vehicle: Any, mavproxy: Any
 ) -> None:
-    """As docs/connecting.md has it typed; the vehicle forwards it."""
+    """As docs/in-flight.md has it typed; the vehicle forwards it."""
     to_companion, to_ground = free_port(), free_port()
     person = mavproxy(f"udpin:127.0.0.1:{to_ground}")
     vehicle(to_companion, to_ground)

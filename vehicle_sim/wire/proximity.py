@@ -1,7 +1,7 @@
 """An ArduPilot's range sensors: eight sectors of obstacles about it, and a rangefinder downwards.
 
 After AP_Proximity_RPLidarA2.cpp, AP_Proximity_Boundary_3D.cpp and GCS_Common.cpp as
-docs/reference/proximity.md 1 and 3 read and measured them: a sector says its nearest echo; left
+docs/lab/proximity.md 1 and 3 read and measured them: a sector says its nearest echo; left
 without one it repeats the last until that times out, and the *next* one is made empty instead; it
 is told from its first echo on, as "max" when empty, while any sector has one; and the stamp is that
 of sending.

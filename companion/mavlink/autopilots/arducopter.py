@@ -75,7 +75,7 @@ _CLIMBS: Final = rules.at_least(  # the machine waits twice as long as it plans 
 _HANDLING: Final = Handling(
     name="ArduCopter", eased=0.7, settling_s=0.6, steady_m=0.1, turning_s2=0.3, leading_s2=0.5
 )
-"""turning_s2: docs/results/tracking.md, 0.8 m at 1 m/s2, 0.5 of which the setpoints lead by, as of
+"""turning_s2: docs/lab/tracking.md, 0.8 m at 1 m/s2, 0.5 of which the setpoints lead by, as of
 its shaping, 2 (WPNAV_ACCEL / PSC_JERK_XY)^2; the others: `scripts/bench kills`."""
 _RULES: Final = (
     Rule("GUID_TIMEOUT", _guid_timeout, "how long it flies on without setpoints"),

@@ -126,7 +126,7 @@ _WITHOUT_STREAM: Final = {
 }
 """COM_OBL_RC_ACT (px4.md 6): without RC, Position, Altitude and Stabilized sink."""
 _STAYS: Final = (3, 4, 5)
-"""It returns, lands or holds: left as it stands (docs/connecting.md)."""
+"""It returns, lands or holds: left as it stands (docs/reference/parameters.md)."""
 
 
 def _offboard_loss(value: float, _case: Case) -> Finding | None:

@@ -38,7 +38,7 @@ class Feature(NamedTuple):
     """One thing to show."""
 
     kind: str
-    """track, subpath, target, rally, keep_out, keep_in, radar or event (docs/export.md)."""
+    """track, subpath, target, rally, keep_out, keep_in, radar or event (reference/export.md)."""
     name: str
     points: FloatArray
     """(N, 3) longitude, latitude, altitude AMSL; (1, 2) of a place on the ground.  Of an area its
@@ -226,7 +226,7 @@ COLUMNS: Final = {
     "phase": ("", "of the mission (docs/reference/mission-states.md)"),
     "leg": ("d", "the subpath that was flown, counted from 1; 0: none yet"),
 }
-"""The columns: how each is written, and what it means (docs/export.md)."""
+"""The columns: how each is written, and what it means (docs/reference/export.md)."""
 
 
 def write_csv(flight: Flight, file: Path) -> None:

@@ -1,4 +1,4 @@
-"""Any telemetry log as a stream of timed MAVLink frames: docs/logs.md.
+"""Any telemetry log as a stream of timed MAVLink frames: docs/replay.md.
 
 log = open_log(path)
 for record in log.records(): ...   # record.time_us, record.frame

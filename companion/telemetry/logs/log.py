@@ -61,7 +61,7 @@ class Odd(enum.StrEnum):
 
 # --- a log, opened
 
-HOW_TO_RECORD: Final = "What to record, and how: docs/logs.md"
+HOW_TO_RECORD: Final = "What to record, and how: docs/replay.md"
 _NEEDED: Final = {
     "HEARTBEAT": "which autopilot it is, its mode and whether it is armed",
     "GLOBAL_POSITION_INT": "where the vehicle is: nothing is planned",

@@ -25,7 +25,7 @@ from companion.telemetry.export.formats import COLUMNS, write_csv, write_geojson
 from companion.telemetry.journal import Journal
 
 SCHEMA = Path(fastkml.validator.__file__).parent / "schema" / "kml22gx.xsd"
-PAGE = Path(__file__).parents[3] / "docs" / "export.md"
+PAGE = Path(__file__).parents[3] / "docs" / "reference" / "export.md"
 KML = {"k": "http://www.opengis.net/kml/2.2", "gx": "http://www.google.com/kml/ext/2.2"}
 PHASES = ["preparing", "arming", "taking off", "flying", "holding", "flying", "arrived", "done"]
 Positions = list[tuple[int, Any, tuple[float, float, float]]]

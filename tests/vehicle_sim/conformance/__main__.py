@@ -35,7 +35,7 @@ def conformance(
 
 
 def tables(flown: dict[str, list[Row]]) -> str:
-    """The two tables of docs/results/conformance.md: how much agrees, and why the rest does not."""
+    """The two tables of docs/lab/conformance.md: how much agrees, and why the rest does not."""
     lines = [
         "| recording | rows | agree | | worst difference that agrees | do not agree |",
         "|---|---|---|---|---|---|",

@@ -1,7 +1,7 @@
 """Rows of a lidar behind an autopilot: where its echoes lie, and what is wrong with them.
 
 Each side is held against the posts as it flew past them itself: DISTANCE_SENSOR 10 to 17 against
-SIMSTATE and ATTITUDE (docs/reference/proximity.md 1).
+SIMSTATE and ATTITUDE (docs/lab/proximity.md 1).
 """
 
 import itertools
