@@ -1,11 +1,12 @@
-"""A session that only streams, and a link of its own: the runtime's parts without a mission."""
+"""A session that only streams, and links of its own: the runtime's parts without a mission."""
 
-import queue
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from queue import Empty, SimpleQueue
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 from pymavlink.dialects.v20 import all as wire
 
@@ -27,11 +28,15 @@ def packed(message: Any) -> bytes:
     return frame
 
 
-SETPOINT = packed(
-    wire.MAVLink_set_position_target_global_int_message(
-        0, 1, 1, 5, 2496, 470000000, 80000000, 500.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+def setpoint(at_s: float = 0.0) -> bytes:
+    return packed(
+        wire.MAVLink_set_position_target_global_int_message(
+            round(at_s * 1000), 1, 1, 5, 2496, 470000000, 80000000, 500.0, *[1.0] * 8
+        )
     )
-)
+
+
+SETPOINT = setpoint()
 HEARTBEAT = packed(wire.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3))
 HOLD = packed(wire.MAVLink_command_long_message(1, 1, 176, 0, 1.0, 17.0, *[0.0] * 5))
 
@@ -56,15 +61,13 @@ def request_of(plan_id: int, *, planning_time_s: float = 0.5) -> PlanRequest:
 class StubSession:
     """Answers each datagram with a setpoint and a heartbeat.
 
-    on_datagram(session, number) is called with the number of each, in the decider's thread.
+    on_datagram(number) is called with the number of each, in the decider's thread.
     """
 
-    on_datagram: Callable[["StubSession", int], None] = lambda _session, _number: None
+    on_datagram: Callable[[int], object] = lambda _number: None
     out: Output = field(default_factory=Output)
     now_s: float = 0.0
     received: list[bytes] = field(default_factory=list)
-    arrived_s: list[float] = field(default_factory=list)
-    died: list[tuple[str, str]] = field(default_factory=list)
     silences_s: list[float] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
     end: End | None = None
@@ -76,15 +79,15 @@ class StubSession:
         )
     )
 
-    def receive(self, data: bytes, at_s: float) -> bool:
+    def receive(self, data: bytes, _at_s: float) -> bool:
+        """Whether it is the vehicle's."""
         self.received.append(data)
-        self.arrived_s.append(at_s)
         self.now_s += 0.05
-        self.on_datagram(self, len(self.received))
+        self.on_datagram(len(self.received))
         for frame in (SETPOINT, HEARTBEAT):
             self.out.frames.append(frame)
             self.out.record.append((self.now_s, frame))
-        return True
+        return data != b"another's"
 
     def take_output(self) -> Output:
         out, self.out = self.out, Output()
@@ -103,8 +106,8 @@ class StubSession:
     def ask(self, request: PlanRequest) -> None:
         self.out.plan = request
 
-    def deliver(self, outcome: object) -> None:
-        del outcome
+    def deliver(self, _outcome: object) -> None:
+        pass
 
     def silence(self, silent_s: float) -> None:
         self.silences_s.append(silent_s)
@@ -119,10 +122,9 @@ class StubSession:
         return [HOLD]
 
     def part_died(self, part: str, error: str) -> None:
-        self.died.append((part, error))
         self.out.frames.append(HOLD)
         self.out.record.append((self.now_s, HOLD))
-        self.out.journal.append({"t_s": self.now_s, "kind": "end", "reason": part})
+        self.out.journal.append({"t_s": 1.0, "kind": "part died", "part": part, "error": error})
         self.end = End(outcome=Outcome.FAILED, reason=f"{part} died", remedy="")
 
     def complain(self, text: str) -> None:
@@ -130,27 +132,22 @@ class StubSession:
 
 
 class QueueLink(Link):
-    """A link whose vehicle is the test: `say` puts in, `sent` collects with times."""
+    """A link whose vehicle is the test: it puts in, and looks at what was sent, with times."""
 
-    def __init__(self, clock: Callable[[], float]) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.clock = clock
         self.sent: list[tuple[float, bytes]] = []
         self._more_sent = threading.Condition()
-        self.answers: list[object] = []
-        self.incoming: queue.SimpleQueue[bytes | BaseException] = queue.SimpleQueue()
-        self.sender: object = "vehicle"
+        self.incoming: SimpleQueue[bytes | BaseException] = SimpleQueue()
 
     def receive(self, timeout_s: float) -> bytes | None:
         try:
             item = self.incoming.get(timeout=timeout_s)
-        except queue.Empty:
+        except Empty:
             return None
         if isinstance(item, BaseException):
             raise item
         return item
-
-    def answer_to(self, sender: object) -> None:
-        self.answers.append(sender)
 
     def send(self, frames: list[bytes]) -> None:
         now_s = self.clock()
@@ -165,7 +162,3 @@ class QueueLink(Link):
 
     def times_of(self, frame: bytes) -> list[float]:
         return [time_s for time_s, each in self.sent if each == frame]
-
-
-def as_any(thing: object) -> Any:
-    return cast(Any, thing)

@@ -17,6 +17,7 @@ from stub_session import PATIENCE_S, request_of
 
 from companion.planner.plan import plan
 from companion.planner.request import Planned, PlanRequest
+from companion.runtime import planner_process
 from companion.runtime.planner_process import PlannerEndedError, PlannerProcess
 
 
@@ -69,14 +70,21 @@ def test_arrays_arrive_as_they_were_whatever_their_order(of: Any) -> None:
         np.testing.assert_array_equal(echo.seen, known.seen)
 
 
-def test_a_plan_that_raises_is_an_error_with_its_words_and_what_it_prints_is_no_output_of_ours(
-    of: Any, capfd: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("does", "why"),
+    [(odd.raises, "ZeroDivisionError: made up"), (odd.never_ends, "it has stood still")],
+)
+def test_a_plan_that_raises_or_does_not_end_is_an_error_and_what_it_prints_is_no_output_of_ours(
+    of: Any, does: Any, why: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.setattr(planner_process, "_SLACK_S", 0.3)
     capfd.readouterr()
-    planner = of(odd.raises, odd.is_noisy)
-    planner.ask(request_of(1))
-    with pytest.raises(PlannerEndedError, match="ZeroDivisionError: made up"):
-        planner.answer(PATIENCE_S)
+    planner = of(does, odd.is_noisy)
+    planner.ask(request_of(1, planning_time_s=0.2))
+    if does is odd.never_ends:
+        assert planner.answer(0.2) is None
+    with pytest.raises(PlannerEndedError, match=why):
+        planner.answer(1.0)
     assert capfd.readouterr().out == ""
 
 
@@ -91,12 +99,10 @@ def test_of_two_plans_that_are_asked_for_only_the_newer_counts_and_a_search_ends
     planner.ask(request_of(2, planning_time_s=0.1))
     assert planner.answer(PATIENCE_S) is None  # of the first
     answer = planner.answer(PATIENCE_S if hurries else 0.2)
-    if hurries:
-        assert answer is not None
+    assert (answer is not None) is hurries
+    if answer is not None:
         assert answer[0].plan_id == 2
         assert 0.08 <= answer[1] < 1.0
-    else:
-        assert answer is None
 
 
 def test_a_process_that_does_not_come_up_or_cannot_be_started_is_an_error(
@@ -113,29 +119,18 @@ PROGRAM = """
 import os, signal
 import odd_planners as odd
 from companion.runtime.planner_process import PlannerProcess
-planner = PlannerProcess({does})
+planner = PlannerProcess(odd.echoes, odd.cannot_hear_ctrl_c)
 while not planner.is_ready:
     planner.answer(1.0)
-{then}
+os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
-def ended(does: str, then: str) -> subprocess.CompletedProcess[bytes]:
-    """A program that has had a planner, the first process that it has started."""
-    command = [sys.executable, "-c", PROGRAM.format(does=does, then=then)]
-    here = Path(__file__).parent
-    return subprocess.run(command, cwd=here, capture_output=True, timeout=60, check=False)
-
-
-def test_a_planner_does_not_outlive_a_companion_that_is_killed() -> None:
-    """Its standard error ends when the last process that holds it does."""
-    parent = ended("", "os.kill(os.getpid(), signal.SIGKILL)")
+def test_a_planner_does_not_outlive_a_companion_that_is_killed_nor_end_by_ctrl_c() -> None:
+    """Not while it is started, either; its standard error ends with the last who holds it."""
+    command, here = [sys.executable, "-c", PROGRAM], Path(__file__).parent
+    parent = subprocess.run(command, cwd=here, capture_output=True, timeout=60, check=False)
     assert (parent.returncode, parent.stderr) == (-signal.SIGKILL, b"")
-
-
-def test_ctrl_c_in_a_terminal_does_not_end_a_planner_that_is_being_started() -> None:
-    """Not the first process that is started, either, of which there may be one in a program."""
-    assert ended("odd.echoes, odd.cannot_hear_ctrl_c", "planner.close()").returncode == 0
 
 
 FACTORISED = """

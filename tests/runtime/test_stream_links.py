@@ -15,14 +15,13 @@ from typing import Any
 import pytest
 from programs import free_port
 from pymavlink.dialects.v20 import all as wire
-from stub_session import HEARTBEAT, HOLD, packed
+from stub_session import HEARTBEAT, HOLD, packed, setpoint
 
 from companion.errors import InputError
 from companion.runtime import link as links
 from companion.runtime.link import Link, open_link
 
 PATIENCE_S = 10.0
-FRAME = bytes(range(64))
 
 
 def until(done: Callable[[], Any]) -> None:
@@ -157,56 +156,29 @@ def arriving(link: Link, far: int, enough: Callable[[bytes], bool], *goes_on: by
     return data[0]
 
 
-def test_bytes_are_carried_both_ways(end: Server | Terminal) -> None:
-    with open_link(end.name) as link:
-        far = end.answers(link)
-        os.write(far, bytes(range(256)))
-        assert heard(link, 256) == bytes(range(256))
-        link.send([FRAME, b"one"])
-        link.answer_to(link.sender)
-        link.send([b"two"])
-        whole = FRAME + b"onetwo"
-        assert arriving(link, far, lambda data: len(data) >= len(whole)) == whole
-
-
 @pytest.mark.usefixtures("at_once")
-def test_one_that_is_lost_is_reached_again_until_the_link_is_closed(end: Server | Terminal) -> None:
+def test_bytes_go_both_ways_and_one_that_is_lost_is_reached_again_until_the_link_is_closed(
+    end: Server | Terminal,
+) -> None:
     """And nothing is raised."""
     with open_link(end.name) as link:
         for number in range(3):
             far = end.answers(link)
-            os.write(far, b"%d" % number)
-            assert heard(link, 1) == b"%d" % number
+            data = bytes([number]) * 256
+            os.write(far, data)
+            assert heard(link, 256) == data
+            link.send([data, b"one"])
+            link.answer_to(link.sender)
+            assert arriving(link, far, lambda got: b"one" in got).endswith(data + b"one")
             end.goes()
             for _ in range(3):
                 assert link.receive(0.02) is None
-                link.send([FRAME])
+                link.send([data])
             end.comes_back()
         end.answers(link)
     for _ in range(3):
         assert link.receive(0.01) is None
     end.assert_left_alone()
-
-
-def test_who_does_not_read_loses_whole_frames_and_delays_nobody(end: Server | Terminal) -> None:
-    with open_link(end.name) as link:
-        far = end.answers(link)
-        frames = [bytes([1 + number % 251]) * 100 for number in range(200)]
-        for _ in range(500):  # 10 MB, far more than all buffers hold
-            link.send(frames)
-        last = b"!" * 100
-        got = arriving(link, far, lambda data: data.endswith(last), last)
-    assert 0 < len(got) < 10_000_000
-    assert len(got) % 100 == 0
-    assert all(len(set(got[at : at + 100])) == 1 for at in range(0, len(got), 100))
-
-
-def setpoint(at_s: float) -> bytes:
-    return packed(
-        wire.MAVLink_set_position_target_global_int_message(
-            round(at_s * 1000), 1, 1, 5, 2496, 1, 1, 500.0, 1.0, 2.0, 0.5, 0.0, 0.0, 0.0, 0.3, 0.0
-        )
-    )
 
 
 def question(number: int) -> bytes:
@@ -230,6 +202,7 @@ def test_after_a_stall_the_newest_setpoint_comes_and_no_older(end: Server | Term
         link.send([HOLD])
         data = arriving(link, far, lambda data: newest in data, newest)
     told = wire.MAVLink(None).parse_buffer(data) or []
+    assert b"".join(bytes(message.get_msgbuf()) for message in told) == data  # whole frames
     kinds = [message.get_type() for message in told]
     hold = kinds.index("COMMAND_LONG")
     assert {m.time_boot_ms for m in told[hold + 1 :]} == {600_000}
@@ -293,10 +266,21 @@ def test_a_setpoint_that_has_waited_is_not_sent(
 # --- serial
 
 
-def test_a_serial_port_is_opened_at_the_baud_rate_that_is_asked_for(terminal: Terminal) -> None:
+def test_a_serial_port_has_its_baud_rate_for_one_program_alone(
+    terminal: Terminal, tmp_path: Path
+) -> None:
+    (tmp_path / "a-file").write_text("", encoding="utf-8")
     for text, speed in (("", termios.B57600), (",921600", termios.B921600)):
         with open_link(f"{terminal.name}{text}"):
             assert termios.tcgetattr(terminal.far)[4:6] == [speed, speed]
+            for name, remedy in (
+                ("nothing-here", r"No such file.*plug a device in"),
+                ("a-file", "Give"),
+                (terminal.path.name, "end the program that uses it"),
+            ):
+                with pytest.raises(InputError, match=remedy) as caught:
+                    open_link(str(tmp_path / name))
+                assert "\n" not in str(caught.value)
 
 
 @pytest.mark.usefixtures("at_once")
@@ -325,19 +309,3 @@ def test_a_device_that_vanishes_while_it_is_opened_again_is_opened_once_more(
         terminal.comes_back()
         os.write(terminal.answers(link), b"back")
         assert heard(link, 4) == b"back"
-
-
-def test_what_is_no_serial_port_or_in_use_is_an_input_error(
-    terminal: Terminal, tmp_path: Path
-) -> None:
-    (tmp_path / "a-file").write_text("", encoding="utf-8")
-    with open_link(terminal.name):
-        for name, remedy in (
-            ("nothing-here", r"No such file.*plug a device in"),
-            ("a-file", "Give"),
-            (terminal.path.name, "end the program that uses it"),
-        ):
-            with pytest.raises(InputError, match=remedy) as caught:
-                open_link(str(tmp_path / name))
-            assert "\n" not in str(caught.value)
-    open_link(terminal.name).close()
