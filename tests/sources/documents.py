@@ -28,6 +28,7 @@ JUNK = st.sampled_from([*NUMBERS, *OTHERS])
 RING = [[8.0, 47.0], [8.1, 47.0], [8.1, 47.2], [8.0, 47.0]]
 HOLE = [[8.04, 47.02], [8.08, 47.02], [8.08, 47.1], [8.04, 47.02]]
 STEP_DEG = 1 / 1200
+AREA_M = (-2_000.0, 3_000.0, -4_000.0, 1_500.0)
 HEIGHTS_M = np.random.default_rng(4).integers(300, 800, (200, 240)).astype(np.int16)
 """Every 3 seconds over more than the map of the mission, about its origin."""
 
@@ -106,11 +107,6 @@ turn_radius_m = 25.0
 climb_angle_deg = 17.0
 dive_angle_deg = 17.0
 """)
-ERRORS = {
-    "forward_m": 0.1, "right_m": -0.2, "blind_m": 0.4, "latency_s": 0.01, "latency_error_s": 0.02,
-    "range_error_m": 0.3, "position_error_m": 0.06, "drift_m_s": 0.01,
-}  # fmt: skip
-"""Of a sensor of near things."""
 EVERYTHING = (
     *('vehicle.autopilot = "px4"', "vehicle.system_id = 7", "vehicle.yaw_deg = 270.0"),
     *("vehicle.scanner_component_id = 101", "vehicle.position_rate_hz = 200.0"),
@@ -149,11 +145,6 @@ DOCUMENTS: dict[str, tuple[str, Any]] = {
     "world of a file": ("world.toml", of_toml(ENVIRONMENTS / "valley" / "world.toml")),
 }
 """By the names that `refusals.txt` has for them: the name of the file, and what is in it."""
-OVER_A_FILE = {
-    "schema": 1, "name": "x", "origin": COPTER["origin"], "vehicle": {},
-    "area": {"north_min_m": -2e3, "north_max_m": 3e3, "east_min_m": -4e3, "east_max_m": 1.5e3},
-    "terrain": {"file": "x.tif", "vertical_datum": "NAVD88"},
-}  # fmt: skip
 
 
 def written(folder: Path, kind: str, *edits: str, content: Any = None) -> Path:
@@ -191,8 +182,9 @@ def loaded(path: Path) -> object:
     if path.suffix == ".geojson":
         path = written(path.parent, "mission", f'threats = "{path.name}"')
     elif path.suffix == ".tif":
-        path = path.with_name("world.toml")
-        path.write_text(toml_text(OVER_A_FILE), encoding="utf-8")
+        here = f"origin = {json.dumps(COPTER['origin'])}", 'terrain.vertical_datum = "NAVD88"'
+        area = f"area = {json.dumps(dict(zip(COPTER['area'], AREA_M, strict=True)))}"
+        path = written(path.parent, "world of a file", *here, area, 'terrain.file = "x.tif"')
     return (load_world if path.name == "world.toml" else load_mission)(str(path))
 
 

@@ -4,6 +4,7 @@ import itertools
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,10 @@ import numpy as np
 import pyproj
 import pytest
 import shapely
-from documents import ERRORS, HEIGHTS_M, STEP_DEG, mission, terrain
+from documents import HEIGHTS_M, STEP_DEG, mission, terrain
 from hypothesis import given
 from hypothesis import strategies as st
+from planning import column_distance_m
 
 from companion.config import load_mission
 from companion.errors import InputError
@@ -60,16 +62,17 @@ def test_all_that_can_be_said_is_taken(folder: Path) -> None:
 def test_a_sensor_of_near_things_is_what_its_table_says(
     folder: Path, kind: str, said: int | None, component: int, message: int, of_autopilot: bool
 ) -> None:
-    table = {"kind": kind, "speaks_for_m": 4.0, "yaw_deg": 90.0, "bearing_error_deg": 2.0, **ERRORS}
-    if said is not None:
-        table["component"] = said
+    errors = {"forward_m": 0.1, "right_m": -0.2, "blind_m": 0.4, "latency_s": 0.01}
+    errors |= {"latency_error_s": 0.02, "range_error_m": 0.3, "position_error_m": 0.06}
+    errors |= {"drift_m_s": 0.01, "speaks_for_m": 4.0}
+    table = {"kind": kind, "yaw_deg": 90.0, "bearing_error_deg": 2.0, **errors}
+    table |= {} if said is None else {"component": said}
     found = mission(folder, "mission by a lidar", f"scanner = {json.dumps(table)}")
-    near = found.near
-    assert near is not None
-    assert (near.kind, near.component_id, near.speaks_for_m) == (kind, component, 4.0)
-    assert (near.yaw_rad, near.bearing_error_rad) == (0.5 * math.pi, math.radians(2.0))
-    assert {name: getattr(near, name) for name in ERRORS} == ERRORS
-    assert near.range_m == found.task.settings.scan_range_m
+    expected = {
+        **errors, "kind": kind, "component_id": component, "yaw_rad": 0.5 * math.pi,
+        "bearing_error_rad": math.radians(2.0), "range_m": found.task.settings.scan_range_m,
+    }  # fmt: skip
+    assert {name: getattr(found.near, name) for name in expected} == expected
     assert found.scanner_component_id is None
     assert (found.known.guess_m == 400.5).all()  # of the ground; of what stands on it nothing
     assert not found.known.surveyed.any()
@@ -118,40 +121,6 @@ def test_circles_and_radars_in_degrees_are_those_in_metres(folder: Path) -> None
     assert sam.range_m == 900.0
 
 
-@given(
-    azimuth_deg=st.floats(0.0, 360.0),
-    off_m=st.floats(0.0, 20_000.0),
-    size_deg=st.floats(0.001, 0.5),
-    corners=st.integers(3, 6),
-)
-def test_a_keep_out_in_degrees_has_edges_that_are_straight_in_degrees_or_is_away_from_the_map(
-    folder: Path, azimuth_deg: float, off_m: float, size_deg: float, corners: int
-) -> None:
-    """A parallel of 75 km bends by 120 m in the local frame."""
-    east_deg, north_deg, _ = GEOD.fwd(8.0, 47.0, azimuth_deg, off_m)
-    angles = 0.3 + np.arange(corners) * math.tau / corners
-    ring = np.array([east_deg, north_deg]) + size_deg * np.stack([np.sin(angles), np.cos(angles)]).T
-    along = shapely.segmentize(shapely.LinearRing(ring), size_deg / 200.0).coords
-    azimuths, _, far_m = GEOD.inv(*np.full((2, len(along)), [[8.0], [47.0]]), *np.array(along).T)
-    away = np.radians(azimuths)
-    drawn = shapely.Polygon(np.stack([far_m * np.cos(away), far_m * np.sin(away)]).T)
-    task = mission(folder, "mission").task
-    by_m = task.zone_search_clearance_m  # as far as paths keep from it
-    near = shapely.box(-4e3 - by_m, -4e3 - by_m, 6e3 + by_m, 6e3 + by_m)
-    table = ZoneTable(name="zone", vertices_deg=ring[:, ::-1].tolist())
-    zones, note = zones_of([table], [], task, FRAME)
-    assert note == ("" if zones else "1 of 1 keep-outs lie away from the map")
-    if not zones:
-        assert not drawn.intersects(near.buffer(-1.0))
-        return
-    assert drawn.envelope.intersects(near.buffer(1.0))
-    places = np.random.default_rng(1).uniform(-4e3, 6e3, (2, 50))
-    points = shapely.points(*places)
-    outside = np.where(shapely.contains(drawn, points), -1.0, 1.0)
-    expected_m = outside * shapely.distance(drawn.exterior, points)
-    np.testing.assert_allclose(zones[0].distance_m(*places), expected_m, atol=0.3)
-
-
 FAR_AWAY = {
     "antipodes": [[-47.0, -172.0], [-46.999, -172.0], [-47.0, -171.999]],
     "Antarctica as GeoJSON has it": [
@@ -176,46 +145,58 @@ def test_keep_outs_far_away_are_left_out_and_counted(folder: Path) -> None:
     assert found.notes == ("8 of 12 keep-outs lie away from the map",)
 
 
-def star(random: np.random.Generator) -> FloatArray:
-    """A concave polygon of 40 to 75 degrees whose rim goes by (0, 0); (latitude, longitude)."""
+def star(random: np.random.Generator, size: float) -> FloatArray:
+    """A concave polygon of 40 to 75 degrees times its size, (latitude, longitude) of each corner.
+
+    Its rim goes by (0, 0).
+    """
     angles = np.sort(random.uniform(0.0, 2.0 * math.pi, 7))
     rays = np.stack([np.sin(angles), np.cos(angles)], axis=-1)
-    corners = random.uniform(20.0, 37.0, (7, 1)) * rays
+    corners = size * random.uniform(20.0, 37.0, (7, 1)) * rays
     k, part = random.integers(0, 7), random.uniform(0.3, 0.7)
     corners -= corners[k - 1] + part * (corners[k] - corners[k - 1])
-    return corners + random.uniform(-0.15, 0.15, 2)
+    return corners + random.uniform(-0.1, 0.1, 2)
 
 
 @pytest.mark.parametrize("origin", [(a, b) for a in (0.01, 47.0, -13.0) for b in (8.0, -179.98)])
-@pytest.mark.parametrize("kind", ["keep_outs", "keep_ins"])
-def test_a_polygon_of_far_corners_is_refused_if_it_reaches_the_map(
-    folder: Path, origin: Any, kind: str
+@pytest.mark.parametrize("size", [0.002, 0.1, 1.0])
+def test_a_polygon_is_that_which_is_straight_in_degrees_or_refused_if_it_is_too_far_to_tell(
+    folder: Path, origin: tuple[float, float], size: float
 ) -> None:
-    """Of a map of 10 km; its sides are straight in degrees, which shapely knows as well."""
+    """By shapely, over a map of 10 km; corners up to 1,000 km away are not too far."""
     frame = LocalFrame(latitude_deg=origin[0], longitude_deg=origin[1])
-    task, random, refused = mission(folder, "mission").task, np.random.default_rng(7), 0
-    points = random.uniform(-4000.0, 6000.0, (60, 2)).T
-    latitude, longitude = frame.to_geodetic_deg(*points)
+    task, random, ends = mission(folder, "mission").task, np.random.default_rng(7), Counter[str]()
+    north, east = random.uniform(-4000.0, 6000.0, (2, 60))
+    latitude, longitude = frame.to_geodetic_deg(north, east)
     places = shapely.points(latitude - origin[0], (longitude - origin[1] + 180.0) % 360.0 - 180.0)
-    for _ in range(80):
-        corners = star(random)
+    for number in range(60):
+        corners, keep_in = star(random, size), number % 2 == 1
         corners[:, 0] = np.clip(corners[:, 0], -89.0 - origin[0], 89.0 - origin[0])
         drawn = shapely.Polygon(corners)
-        if not drawn.is_simple or np.hypot(*corners.T).min() < 15.0:  # 1,000 km, and some more
+        if not drawn.is_simple or 8.0 < np.hypot(*corners.T).min() < 15.0:  # about 1,000 km
             continue
         told = corners + np.array(origin)
         told[:, 1] = (told[:, 1] + 180.0) % 360.0 - 180.0
-        table = ZoneTable(name="far", vertices_deg=told.tolist())
-        tables = ([table], []) if kind == "keep_outs" else ([], [table])
-        inside = shapely.contains(drawn, places).any()
+        zone = ZoneTable(name="", vertices_deg=told.tolist())
+        inside = shapely.contains(drawn, places)
         try:
-            assert zones_of(*tables, task, frame)[0] == ()
-            assert not inside
-        except InputError:
-            far_deg = shapely.distance(drawn, places).min()
-            assert inside or kind == "keep_ins" or far_deg < 0.5
-            refused += 1
-    assert refused > 15
+            zones, _ = zones_of([] if keep_in else [zone], [zone] if keep_in else [], task, frame)
+        except InputError as error:
+            ends["refused"] += 1
+            assert size == 1.0
+            if "all of the map lies outside" in error.rule:
+                assert keep_in
+                assert not inside.any()
+            else:
+                assert inside.any() or keep_in or shapely.distance(drawn, places).min() < 0.5
+        else:
+            ends["taken" if zones else "left out"] += 1
+            assert zones or not inside.any()
+            for found in zones:
+                distance_m = found.distance_m(north, east)
+                told_inside = (distance_m < 0.0) != keep_in
+                assert (told_inside == inside)[abs(distance_m) > 1.0].all()
+    assert ends["refused" if size == 1.0 else "taken"] > 10
 
 
 # --- ground that is known in advance
@@ -282,13 +263,25 @@ def test_every_path_of_the_band_is_clear_of_the_stated_ground_or_the_floor_is_re
     try:
         found = mission(folder, BLIND, *said)
     except InputError as error:
-        message = str(error)
-        proposed = re.search(r"altitude\.floor_amsl_m = 900\.0: .*Raise it to (\d+)", message)
-        floor = "no proposal" if proposed is None else f"altitude.floor_amsl_m = {proposed[1]}.0"
-        found = mission(folder, BLIND, *said, floor)
+        [proposed] = re.findall(r"altitude\.floor_amsl_m = 900\.0: .*Raise it to (\d+)", str(error))
+        found = mission(folder, BLIND, *said, f"altitude.floor_amsl_m = {proposed}.0")
     lowest_m, _ = found.task.band_amsl_m
     assert lowest_m - highest_m >= safety_m + found.task.error_m
     assert found.task.take_off_amsl_m - highest_m >= safety_m + found.task.error_m
+
+
+def test_a_target_lower_than_the_elevation_file_allows_is_flown_to_higher_which_is_said(
+    folder: Path,
+) -> None:
+    said = "vehicle.scanner = false", "altitude.floor_amsl_m = 400.0"
+    assert mission(folder, KNOWS, *said, "targets.0.altitude_amsl_m = 1000.0").notes == ()
+    found = mission(folder, KNOWS, *said, "targets.0.altitude_amsl_m = 500.0")
+    [note] = found.notes
+    [flown_m] = re.findall(r"target 1 is planned at 500 m AMSL and flown at (\d+) m", note)
+    for up_m, is_clear in ((0.5, True), (-5.5, False)):  # it is looked for in steps of 5 m
+        place = np.array([[3000.0, 2000.0, float(flown_m) + up_m]])
+        distance_m = column_distance_m(found.known, place, 200.0)
+        assert (distance_m >= found.task.required_clearance_m) == is_clear
 
 
 # --- the page of files

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from pymavlink import mavwp
 from pymavlink.dialects.v20 import all as wire
 
-import companion
 from companion.config import load_mission, mission_text
 from companion.mission.mission import EndAction, Mission
 from companion.sources.plan_file import Plan, read_plan, read_waypoint_fence, read_waypoint_list
@@ -268,7 +267,6 @@ def test_targets_are_those_of_the_mission_or_of_its_plan(tmp_path: Path) -> None
 LAUNCH_M = 400.0
 KEPT_M = 1.1 * 10.0  # of the errors of the copter that is assumed: tracking and navigation
 BLIND = "[vehicle]\nscanner = false\n"
-VALLEY = Path(companion.__file__).parent / "environments" / "valley"
 
 
 def blind(
@@ -319,24 +317,6 @@ def test_a_waypoint_without_an_altitude_has_that_of_the_one_before(tmp_path: Pat
     fence = replace(found.task.limits, ceiling_amsl_m=LAUNCH_M + 55.0)
     low_m, high_m = found.task_to(1, replace(found.task, limits=fence)).band_amsl_m
     assert low_m < high_m <= LAUNCH_M + 55.0
-
-
-def test_what_the_elevation_file_says_against_it_is_said(tmp_path: Path) -> None:
-    text = (VALLEY / "mission.toml").read_text(encoding="utf-8")
-    text = text.replace("[[targets]]\nnorth_m = -3850.0\neast_m = 800.0\n", "")
-    text = text.replace('kind = "copter"\n', 'kind = "copter"\nscanner = false\n')
-    text += f'[terrain]\nfile = "{VALLEY}/terrain.tif"\nvertical_datum = "AMSL"\n[[targets]]\n'
-
-    def over(north_m: float, east_m: float) -> Mission:
-        """To one target at 520 m AMSL."""
-        place = f"north_m = {north_m}\neast_m = {east_m}\naltitude_amsl_m = 520.0\nname = 'it'\n"
-        (tmp_path / "mission.toml").write_text(text + place, encoding="utf-8")
-        return load_mission(str(tmp_path / "mission.toml"))
-
-    assert over(-3850.0, 800.0).notes == ()
-    assert "it is planned at 520 m AMSL and flown at 585 m" in over(-3850.0, -2000.0).notes[0]
-    in_a_mountain = refusal(over, 0.0, -3500.0)
-    assert "the ground there is not known, or too high for the ceiling" in in_a_mountain
 
 
 def of_terrain(
