@@ -4,7 +4,6 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from queue import Empty, SimpleQueue
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,7 +17,7 @@ from companion.planner.request import PlanRequest
 from companion.runtime.link import Link
 from companion.world.known_map import empty_map
 
-PATIENCE_S = 20.0
+PATIENCE_S, PERIOD_S = 20.0, 0.02
 CODEC = wire.MAVLink(None, srcSystem=1, srcComponent=195)
 
 
@@ -131,23 +130,22 @@ class StubSession:
         self.complaints.append(text)
 
 
-class QueueLink(Link):
-    """A link whose vehicle is the test: it puts in, and looks at what was sent, with times."""
+class SpeakingLink(Link):
+    """A vehicle that speaks at 50 Hz; what it is told is kept, with times."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.clock = clock
         self.sent: list[tuple[float, bytes]] = []
-        self._more_sent = threading.Condition()
-        self.incoming: SimpleQueue[bytes | BaseException] = SimpleQueue()
+        self._more_sent, self._speaks_s = threading.Condition(), time.monotonic()
 
     def receive(self, timeout_s: float) -> bytes | None:
-        try:
-            item = self.incoming.get(timeout=timeout_s)
-        except Empty:
+        """What it says; if nobody listens it waits."""
+        wait_s = self._speaks_s - time.monotonic()
+        time.sleep(max(min(wait_s, timeout_s), 0.0))
+        if wait_s > timeout_s:
             return None
-        if isinstance(item, BaseException):
-            raise item
-        return item
+        self._speaks_s += PERIOD_S
+        return b"position"
 
     def send(self, frames: list[bytes]) -> None:
         now_s = self.clock()

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import all as wire
-from stub_session import HEARTBEAT, HOLD, SETPOINT, QueueLink, packed
+from stub_session import HEARTBEAT, HOLD, SETPOINT, SpeakingLink, packed
 
 from companion.runtime.link import is_setpoint
 from companion.runtime.watchdog import IDLE_STALL_S, STALL_S, Failure, Gate, Watchdog
@@ -32,9 +32,9 @@ def test_setpoints_are_told_from_everything_else() -> None:
 class Rig:
     """A watchdog, and a clock that goes on when it is told to."""
 
-    def __init__(self, link: QueueLink | None = None) -> None:
+    def __init__(self, link: SpeakingLink | None = None) -> None:
         self.now_s, self.signings = 100.0, 0
-        self.link = link or QueueLink(lambda: self.now_s)
+        self.link = link or SpeakingLink(lambda: self.now_s)
         self.gate = Gate(self.link, lambda: self.now_s, self._signed)
         self.failures: list[tuple[Failure, list[bytes]]] = []
         session: Any = SimpleNamespace(hold_frames=lambda: [HOLD], final_text=lambda _why: [])
@@ -59,7 +59,7 @@ class Rig:
 def test_a_link_that_is_stuck_in_the_middle_of_a_frame_does_not_keep_the_hold_back() -> None:
     stuck, released = threading.Event(), threading.Event()
 
-    class Stuck(QueueLink):
+    class Stuck(SpeakingLink):
         def send(self, frames: list[bytes]) -> None:
             if frames == [SETPOINT]:
                 stuck.set()
@@ -82,7 +82,7 @@ def test_the_hold_is_sent_once_in_full_for_a_death_and_not_for_an_end(dies: bool
     """Of three times, as a link may fail."""
     fails, ended = [OSError("made up")], threading.Event()
 
-    class Failing(QueueLink):
+    class Failing(SpeakingLink):
         def send(self, frames: list[bytes]) -> None:
             if fails:
                 raise fails.pop()
