@@ -1,11 +1,9 @@
 """The loop around a session, with a scripted vehicle in place of the socket, in made-up time."""
 
-import json
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -20,7 +18,6 @@ from companion.runtime.link import Link
 from companion.runtime.planner_process import PlannerHere
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
-from companion.telemetry.run_folder import RunFolder
 
 
 class MadeUpLink(Link):
@@ -77,7 +74,7 @@ class SlowPlanner:
 
 
 def run(
-    link: MadeUpLink, planner: SlowPlanner, until: Callable[[], bool], session: Any = None
+    link: MadeUpLink, planner: Any, until: Callable[[], bool], session: Any = None
 ) -> FlightSummary:
     """The loop to its end, with a person who asks to stop then; in lockstep by default."""
     session, in_lockstep = session or lockstep(), session is None
@@ -87,7 +84,6 @@ def run(
     )  # fmt: skip
     control.run()
     assert control.flown.end is not None
-    assert control.flown.end.outcome in (Outcome.STOPPED, Outcome.FAILED)
     return control.flown
 
 
@@ -95,36 +91,20 @@ def lockstep() -> Session:
     return Session(MISSION, seed=1, lockstep=True, go=True)
 
 
-def test_a_flight_in_lockstep_ends_at_its_target_and_all_is_recorded_and_kept(
-    tmp_path: Path,
-) -> None:
-    """Cut short or not, each plan is told of."""
+def test_a_flight_in_lockstep_ends_at_its_target_with_its_plans_counted() -> None:
+    """And those that were cut short; what is recorded of it: `closed_loop`."""
 
     def cut(request: PlanRequest, stop: object) -> PlanOutcome:
         return replace(straight_plan(request, stop), stopped_after=2)
 
-    kept_s, vehicle = list[float](), Vehicle()
-    link = MadeUpLink(vehicle)
-    with RunFolder(tmp_path / "run", mission_toml="", epoch_us=0) as folder:
-        flown = loop.fly(
-            *(lockstep(), link, folder),
-            lockstep=True, planner=PlannerHere(cut), stop_asked=lambda: False,
-            on_progress=lambda _: None, clock=link.clock,
-            persist=lambda: kept_s.append(link.now_s),
-        )  # fmt: skip
+    link = MadeUpLink(vehicle := Vehicle())
+    flown = run(link, PlannerHere(cut), lambda: False)
     assert flown.end is not None
     assert flown.end.outcome is Outcome.ARRIVED
     assert len(flown.plans) == len(flown.plans_s) == flown.out_of_time == 1
     assert flown.to_go_m == pytest.approx(0.0, abs=5.0)
     last = vehicle.heard[-1]
     assert (last.get_type(), last.system_status) == ("HEARTBEAT", 7)
-    lines = (folder.path / "journal.jsonl").read_text(encoding="utf-8").splitlines()
-    assert [json.loads(line)["kind"] for line in lines[-2:]] == ["end", "say"]
-    log = (folder.path / "flight.tlog").read_bytes()
-    assert all(bytes(message.get_msgbuf()) in log for message in vehicle.heard)
-    assert kept_s[0] == pytest.approx(30.0, abs=1.0)
-    assert all(after - before >= 30.0 for before, after in pairwise(kept_s[:-1]))
-    assert kept_s[-1] == link.now_s
 
 
 def test_a_silence_is_told_as_it_grows_until_the_vehicle_speaks_which_is_answered() -> None:

@@ -232,6 +232,20 @@ def test_what_is_not_recorded_is_told_once(folder: RunFolder, tmp_path: Path) ->
     assert told[1].error.startswith("TypeError")
 
 
+def test_what_must_outlive_the_process_is_kept_every_half_minute_and_at_the_end(
+    folder: RunFolder,
+) -> None:
+    now_s, kept_s = [0.0], list[float]()
+    writes = recorder.Recorder(
+        folder, lambda: now_s[0], lambda _: None, lambda: kept_s.append(now_s[0])
+    )
+    for _ in range(700):
+        now_s[0] += 0.1
+        writes.put(Output())
+    writes.close()
+    assert kept_s == pytest.approx([30.0, 60.0, 70.0], abs=0.11)
+
+
 def test_a_disk_that_blocks_delays_no_stream(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recorder, "_DISK_S", 0.3)
     monkeypatch.setattr(recorder, "_LEAVE_S", 0.1)
