@@ -122,24 +122,6 @@ def test_no_two_names_are_the_same_search_and_the_papers_have_its_60_members() -
         assert OPTIMISERS[name](6, 3_000, np.random.default_rng(1), None).ask().shape == (60, 6)
 
 
-def test_members_are_ranked_by_cost_equals_in_their_order_and_nan_as_infinite() -> None:
-    class Scripted:
-        population = np.array([[0.3], [0.1], [0.4], [0.2], [0.5]])
-        costs = np.full(5, np.nan)
-
-        def ask(self) -> FloatArray:
-            return self.population
-
-        def tell(self, costs: FloatArray) -> None:
-            self.costs = costs
-
-    costs = {0.3: 5.0, 0.1: 1.0, 0.2: 1.0, 0.4: np.nan, 0.5: -np.inf}
-    ranked = minimise(Scripted(), lambda x: np.array([costs[v] for v in x[:, 0]]), 5)
-    assert ranked.costs.tolist() == [-np.inf, 1.0, 1.0, 5.0, np.inf]
-    assert ranked.x[:, 0].tolist() == [0.5, 0.1, 0.2, 0.3, 0.4]
-    assert ranked.evaluations == 5
-
-
 @given(count=st.integers(0, 12), size=st.integers(1, 9), seed=seeds)
 def test_seeds_come_first_clipped_then_random_points(count: int, size: int, seed: int) -> None:
     known = np.random.default_rng(seed + 1).uniform(-0.5, 1.5, (count, 3))

@@ -319,42 +319,44 @@ def test_a_waypoint_without_an_altitude_has_that_of_the_one_before(tmp_path: Pat
     assert low_m < high_m <= LAUNCH_M + 55.0
 
 
-def of_terrain(
-    height_m: float, mode: int | None = None, frame: int = 10, north_deg: float = 0.0054
-) -> Any:
-    """As frame 10, or as QGroundControl's AltitudeMode with the height in a key of its own."""
+def of_terrain(height_m: float, frame: int, mode: int | None = None, rows: int = 8) -> Any:
+    """As frame 10 or 11, or as QGroundControl's AltitudeMode with the height in a key of its own.
+
+    So many rows of `HEIGHTS_M` north of launch.
+    """
     if mode is None:
-        return waypoint(north_deg, height_m, frame)
-    sent_m, frame = (None, 0) if mode == 3 else (height_m, frame)  # 3: sent as AMSL
-    return waypoint(north_deg, sent_m, frame, AltitudeMode=mode, Altitude=height_m)
+        return waypoint(rows * STEP_DEG, height_m, frame)
+    sent_m = None if mode == 3 else height_m  # 3: sent as AMSL
+    return waypoint(rows * STEP_DEG, sent_m, frame, AltitudeMode=mode, Altitude=height_m)
 
 
-@pytest.mark.parametrize("said", [{}, {"mode": 3}, {"mode": 4}, {"frame": 11}])
-def test_above_terrain_is_above_the_ground_stated(tmp_path: Path, said: dict[str, int]) -> None:
-    terrain = f"{BLIND}[terrain]\nhighest_amsl_m = 417.0\n"
-    mission = naming(tmp_path, plan(waypoint(0.0027, 100.0), of_terrain(120.0, **said)), terrain)
-    assert mission.altitudes_amsl_m == (500.0, 537.0)
+def above_terrain(folder: Path, text: str, rows: int = 8) -> Mission:
+    """At 600 m above launch, and by each way to say so at 500 m above terrain."""
+    ways = ((10, None), (11, None), (0, 3), (10, 4))
+    items = [of_terrain(500.0, *way, rows) for way in ways]
+    return naming(folder, plan(waypoint(altitude_m=600.0), *items), text)
 
 
-def test_above_terrain_is_above_the_ground_of_a_file(folder: Path) -> None:
-    """As high as the highest of the cells about it; `HEIGHTS_M` has a row every 3 seconds."""
-    terrain = f'{BLIND}[terrain]\nfile = "dem.tif"\nvertical_datum = "EGM96"\n'
-    up = plan(waypoint(altitude_m=700.0), of_terrain(500.0, north_deg=8 * STEP_DEG))
-    [_, planned_m] = naming(folder, up, terrain).altitudes_amsl_m
-    assert planned_m in 500.0 + HEIGHTS_M[90:93, 118:121]
-    assert planned_m >= 500.0 + HEIGHTS_M[91:93, 119:121].max()
-    beyond = plan(waypoint(), of_terrain(120.0, north_deg=0.1))
-    assert "how high the ground is there is not known" in refusal(naming, folder, beyond, terrain)
+def test_above_terrain_is_above_the_highest_ground_about_it(folder: Path) -> None:
+    """As it is stated, or as a file has it."""
+    stated = above_terrain(folder, f"{BLIND}[terrain]\nhighest_amsl_m = 417.0\n")
+    assert stated.altitudes_amsl_m == (1000.0, *(917.0,) * 4)
+    text = f'{BLIND}[terrain]\nfile = "dem.tif"\nvertical_datum = "EGM96"\n'
+    _, *planned_m = above_terrain(folder, text).altitudes_amsl_m
+    [ground_m] = {height_m - 500.0 for height_m in planned_m if height_m is not None}
+    assert ground_m in HEIGHTS_M[90:93, 118:121]
+    assert ground_m >= HEIGHTS_M[91:93, 119:121].max()
+    beyond = refusal(above_terrain, folder, text, 120)
+    assert beyond.startswith("x.plan: mission.items[1]: altitude = 500.0: it is above terrain")
 
 
-def test_an_altitude_above_ground_that_is_not_known_is_refused_or_said(tmp_path: Path) -> None:
+def test_above_ground_that_is_not_known_an_altitude_is_refused_or_that_is_said(
+    folder: Path,
+) -> None:
     """Without a radar it would be flown; with one every altitude of the band is as good."""
-    modes = ((120.0, None), (90.0, 3), (80.0, 4))
-    items = [waypoint(altitude_m=100.0), *(of_terrain(height, mode) for height, mode in modes)]
-    told = refusal(naming, tmp_path, plan(*items), BLIND)
-    assert told.startswith("x.plan: mission.items[1]: altitude = 120.0: it is above terrain")
-    mission = naming(tmp_path, plan(*items), "")
-    assert mission.altitudes_amsl_m == ()
-    assert mission.task_to(1, mission.task) is mission.task
-    said = next(note for note in mission.notes if "above terrain" in note)
-    assert "3 x altitude above terrain" in said
+    told = refusal(above_terrain, folder, BLIND)
+    assert told.startswith("x.plan: mission.items[1]: altitude = 500.0: it is above terrain")
+    found = above_terrain(folder, "")
+    assert found.altitudes_amsl_m == ()
+    assert found.task_to(1, found.task) is found.task
+    assert any("4 x altitude above terrain" in note for note in found.notes)
