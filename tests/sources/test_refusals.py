@@ -1,13 +1,12 @@
 """A file that cannot be taken is told in one line: where, field, value, rule and remedy.
 
-`refusals.txt` has a file and its line in each row: the edits of a usual one (`documents`), then
-what is said.
+`refusals.txt` has a file and its line in each row: the edits of a usual file (`documents`), then
+what is said of it.
 """
 
 import contextlib
 import copy
 import gzip
-import itertools
 import json
 import re
 from collections.abc import Iterator
@@ -23,24 +22,24 @@ from companion.config import load_mission, load_world, mission_text
 from companion.errors import InputError
 
 
-def rows() -> Iterator[tuple[str, list[str], str]]:
-    """The kind of each file, its edits and its line."""
-    kind = ""
+def read_table() -> dict[str, list[tuple[list[str], str]]]:
+    """Edits and line of each file, by the kind of the file."""
+    table: dict[str, list[tuple[list[str], str]]] = {}
     for row in (Path(__file__).parent / "refusals.txt").read_text("utf-8").splitlines():
         if row.startswith("# "):
-            kind = row.removeprefix("# ")
+            of_kind = table.setdefault(row.removeprefix("# "), [])
         else:
             edits, said = row.split(" → ")
-            yield kind, edits.split(" ; "), said
+            of_kind.append((edits.split(" ; "), said))
+    return table
 
 
-@pytest.mark.parametrize(("kind", "edits", "said"), [*rows()], ids=map(str, itertools.count()))
-def test_each_file_is_refused_with_its_line(
-    folder: Path, kind: str, edits: list[str], said: str
-) -> None:
-    told = refusal(loaded, written(folder, kind, *edits)).replace(f"{folder}/", "")
-    assert told == said
-    assert re.fullmatch(r"\S[^\n]*? = [^\n]+: [^\n]+\. [A-Z][^\n]*[.?)]", told)
+@pytest.mark.parametrize("kind", read_table())
+def test_each_file_is_refused_with_its_line(folder: Path, kind: str) -> None:
+    for edits, said in read_table()[kind]:
+        told = refusal(loaded, written(folder, kind, *edits)).replace(f"{folder}/", "")
+        assert told == said
+        assert re.fullmatch(r"\S[^\n]*? = [^\n]+: [^\n]+\. [A-Z][^\n]*[.?)]", told)
 
 
 def keys_in(table: dict[str, Any], *above: str) -> Iterator[tuple[str, Any]]:
