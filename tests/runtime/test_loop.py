@@ -8,13 +8,14 @@ from typing import Any
 
 import pytest
 from scripted_vehicle import MISSION, Vehicle, straight_plan
-from stub_session import HEARTBEAT, SETPOINT, StubSession
+from stub_session import StubSession
 
+from companion.mavlink.link import Output
 from companion.mission.events import Outcome, PlannerDied
 from companion.mission.pending_plan import PendingPlan
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.runtime import loop
-from companion.runtime.link import Link
+from companion.runtime.link import Link, is_setpoint
 from companion.runtime.planner_process import PlannerHere
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
@@ -28,6 +29,8 @@ class MadeUpLink(Link):
     def __init__(self, vehicle: Vehicle | None = None, speaks_from_s: float = 0.0) -> None:
         self.now_s, self.sent, self.answered = 0.0, list[tuple[float, bytes]](), list[object]()
         self.arrives = deque[tuple[float, bytes]]()
+        self.unsent = list[Any]()
+        """What is noted of frames that were not sent, to reproduce the flight."""
         self.vehicle, self._speaks_s = vehicle, speaks_from_s
 
     def clock(self) -> float:
@@ -82,7 +85,13 @@ def run(
         *(session, link, planner),
         lockstep=in_lockstep, clock=link.clock, stop_asked=until,
     )  # fmt: skip
+    recorded = list[Output]()
+    control.record = recorded.append
     control.run()
+    if isinstance(session, StubSession):  # what it said is recorded as far as it was sent
+        said = [frame for out in recorded for _, frame in out.record]
+        assert said == [frame for _, frame in link.sent]
+        link.unsent = [each for out in recorded for each in out.inputs if each[0] == "unsent"]
     assert control.flown.end is not None
     return control.flown
 
@@ -134,8 +143,9 @@ def test_what_has_waited_for_too_long_is_neither_heard_nor_answered_by_a_setpoin
     link.arrives.extend(words)
     run(link, SlowPlanner(link), lambda: link.now_s > 3.2, session)
     assert session.received == [b"first", *[b"old"] * (len(sent_s) - 1), b"new"]
-    assert [at_s for at_s, frame in link.sent if frame == SETPOINT] == pytest.approx(sent_s)
-    assert next(at_s for at_s, frame in link.sent if frame == HEARTBEAT) == 1.0 + held_s
+    assert [at_s for at_s, frame in link.sent if is_setpoint(frame)] == pytest.approx(sent_s)
+    assert next(at_s for at_s, frame in link.sent if not is_setpoint(frame)) == 1.0 + held_s
+    assert link.unsent == [("unsent", [0])]
 
 
 @pytest.mark.parametrize("stopped", [False, True])
