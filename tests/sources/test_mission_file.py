@@ -130,19 +130,22 @@ FAR_AWAY = {
 }
 
 
-def test_keep_outs_far_away_are_left_out_and_counted(folder: Path) -> None:
-    """As in a file of all countries; of circles those that do not come near the map."""
+def test_keep_outs_away_from_the_map_are_left_out_and_counted(folder: Path) -> None:
+    """As in a file of all countries; beside it they count as far as paths keep from them."""
     by_m = mission(folder, "mission").task.zone_search_clearance_m
+    square_m = 10.0 * np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
     zones: list[Any] = [{"name": name, "vertices_deg": ring} for name, ring in FAR_AWAY.items()]
     zones.append({"name": "", "latitude_deg": 56.9, "longitude_deg": 8.0, "radius_m": 15e4})
     for more_m in (-1.0, 1.0):
-        off_m, circle = by_m + 10.0 + more_m, {"name": str(more_m), "radius_m": 10.0}
+        off_m, name = by_m + 10.0 + more_m, {"name": str(more_m)}
         for side_m in (6e3 + off_m, -4e3 - off_m):
-            zones.append({"north_m": side_m, "east_m": 0.0, **circle})
-            zones.append({"north_m": 0.0, "east_m": side_m, **circle})
+            for place in ((side_m, 0.0), (0.0, side_m)):
+                circle = {"north_m": place[0], "east_m": place[1], "radius_m": 10.0}
+                zones += [{**circle, **name}]
+                zones += [{"vertices_m": (square_m + np.array(place)).tolist(), **name}]
     found = mission(folder, "mission", f"keep_outs = {json.dumps(zones)}")
-    assert [zone.name for zone in found.task.zones] == ["-1.0"] * 4
-    assert found.notes == ("8 of 12 keep-outs lie away from the map",)
+    assert [zone.name for zone in found.task.zones] == ["-1.0"] * 8
+    assert found.notes == ("12 of 20 keep-outs lie away from the map",)
 
 
 def star(random: np.random.Generator, size: float) -> FloatArray:
