@@ -195,10 +195,14 @@ def test_a_polygon_is_that_which_is_straight_in_degrees_or_refused_if_it_is_too_
         else:
             ends["taken" if zones else "left out"] += 1
             assert zones or not inside.any()
+            rim = shapely.segmentize(drawn.exterior & shapely.box(-0.1, -0.1, 0.1, 0.1), 0.01)
+            rim_deg = shapely.get_coordinates(rim) + np.array(origin)
+            rim_ne_m = np.array([frame.to_local_m(*place) for place in rim_deg]).reshape(-1, 2)
             for found in zones:
+                assert (abs(found.distance_m(*rim_ne_m.T)) < 0.2).all()
                 distance_m = found.distance_m(north, east)
                 told_inside = (distance_m < 0.0) != keep_in
-                assert (told_inside == inside)[abs(distance_m) > 1.0].all()
+                assert (told_inside == inside)[abs(distance_m) > 0.2].all()
     assert ends["refused" if size == 1.0 else "taken"] > 10
 
 
