@@ -77,10 +77,19 @@ class SlowPlanner:
 
 
 def run(
-    link: MadeUpLink, planner: Any, until: Callable[[], bool], session: Any = None
+    link: MadeUpLink,
+    planner: Any,
+    until: Callable[[], bool],
+    session: Any = None,
+    ends: Outcome = Outcome.STOPPED,
 ) -> FlightSummary:
-    """The loop to its end, with a person who asks to stop then; in lockstep by default."""
-    session, in_lockstep = session or lockstep(), session is None
+    """The loop to its end, with a person who asks to stop then.
+
+    session: by default one that flies in lockstep.
+    """
+    in_lockstep = session is None
+    if in_lockstep:
+        session = Session(MISSION, seed=1, lockstep=True, go=True)
     control = loop.Loop(
         *(session, link, planner),
         lockstep=in_lockstep, clock=link.clock, stop_asked=until,
@@ -93,11 +102,8 @@ def run(
         assert said == [frame for _, frame in link.sent]
         link.unsent = [each for out in recorded for each in out.inputs if each[0] == "unsent"]
     assert control.flown.end is not None
+    assert control.flown.end.outcome is ends
     return control.flown
-
-
-def lockstep() -> Session:
-    return Session(MISSION, seed=1, lockstep=True, go=True)
 
 
 def test_a_flight_in_lockstep_ends_at_its_target_with_its_plans_counted() -> None:
@@ -107,9 +113,7 @@ def test_a_flight_in_lockstep_ends_at_its_target_with_its_plans_counted() -> Non
         return replace(straight_plan(request, stop), stopped_after=2)
 
     link = MadeUpLink(vehicle := Vehicle())
-    flown = run(link, PlannerHere(cut), lambda: False)
-    assert flown.end is not None
-    assert flown.end.outcome is Outcome.ARRIVED
+    flown = run(link, PlannerHere(cut), lambda: False, ends=Outcome.ARRIVED)
     assert len(flown.plans) == len(flown.plans_s) == flown.out_of_time == 1
     assert flown.to_go_m == pytest.approx(0.0, abs=5.0)
     last = vehicle.heard[-1]
@@ -174,9 +178,9 @@ def test_in_lockstep_the_death_of_a_planner_outlasts_a_question_that_it_is_asked
     assert pending.take(0.0) is died  # whatever the clock: its autopilot may have rebooted
 
 
-@pytest.mark.parametrize(("late_s", "heard"), [(9.0, True), (11.0, False)])
-def test_in_lockstep_a_vehicle_may_come_ten_seconds_late(late_s: float, heard: bool) -> None:
+@pytest.mark.parametrize(("late_s", "ends"), [(9.0, Outcome.STOPPED), (11.0, Outcome.FAILED)])
+def test_in_lockstep_a_vehicle_may_come_ten_seconds_late(late_s: float, ends: Outcome) -> None:
     """Simulator and planner are both compiled the first time, one beside the other."""
     link = MadeUpLink(Vehicle(), speaks_from_s=33.0 + late_s)
-    flown = run(link, SlowPlanner(link, 33.0), lambda: link.now_s > 53.0)
-    assert flown.heard is heard
+    flown = run(link, SlowPlanner(link, 33.0), lambda: link.now_s > 53.0, ends=ends)
+    assert flown.heard is (ends is Outcome.STOPPED)

@@ -82,16 +82,22 @@ def test_a_process_that_does_not_come_up_or_cannot_be_started_is_an_error(
 PROGRAM = """
 import os, signal
 import odd_planners as odd
+from stub_session import request_of
 from companion.runtime.planner_process import PlannerProcess
 planner = PlannerProcess(odd.echoes, odd.cannot_hear_ctrl_c)
 while not planner.is_ready:
     planner.answer(1.0)
+for number in (signal.SIGINT, signal.SIGTERM):
+    os.kill(planner.process.pid, number)
+planner.ask(request_of(1))
+while planner.answer(1.0) is None:
+    pass
 os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
 def test_a_planner_does_not_outlive_a_companion_that_is_killed_nor_end_by_ctrl_c() -> None:
-    """Not while it is started, either; its standard error ends with the last who holds it."""
+    """Nor while it is started, nor by SIGTERM; its standard error ends with who holds it last."""
     command, here = [sys.executable, "-c", PROGRAM], Path(__file__).parent
     parent = subprocess.run(command, cwd=here, capture_output=True, timeout=60, check=False)
     assert (parent.returncode, parent.stderr) == (-signal.SIGKILL, b"")
