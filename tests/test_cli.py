@@ -1,3 +1,6 @@
+"""The command line: what goes wrong is one line and an exit code, which a service reads."""
+
+import io
 import json
 import os
 import re
@@ -12,19 +15,21 @@ from typing import Any
 
 import pytest
 from answers import answered
-from programs import BIN, Program, free_port
+from programs import BIN, ROOT, Program, free_port
 from recorded import run_folder
 
+import companion
 from companion import cli
 from companion.config import load_mission
-from companion.errors import FlightFailed
+from companion.errors import FlightFailed, FlightInterrupted, InputError
 from companion.runtime import loop
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
 
 COMPANION = BIN / "companion"
 HILLS = Path(__file__).parent / "closed_loop" / "hills"
-ENVIRONMENTS = Path(__file__).parents[1] / "companion" / "environments"
+ENVIRONMENTS = ROOT / "companion" / "environments"
+STOPPED, CRASHED = 130, 70
 
 
 @pytest.fixture
@@ -33,6 +38,24 @@ def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
     real = time.monotonic
     monkeypatch.setattr(time, "monotonic", lambda: 10.0 * real())
     monkeypatch.setitem(loop.fly.__kwdefaults__, "clock", time.monotonic)
+
+
+def connect(port: int) -> tuple[str, str]:
+    return ("--connect", f"udpin:127.0.0.1:{port}")
+
+
+# --- wrong input: one line, and exit code 2
+
+
+def test_an_input_error_is_field_value_rule_and_remedy_in_one_line_of_printable_text() -> None:
+    error = InputError("planner.evaluations", 3, "it must be 60 or more", "Raise it.")
+    assert str(error) == "planner.evaluations = 3: it must be 60 or more. Raise it."
+    for value in ("two\nlines", float("nan"), None, {"a": "b\r\n"}):
+        assert len(str(InputError("field", value, "rule", "Remedy.")).splitlines()) == 1
+    name = b"fl\xe9.plan".decode("utf-8", "surrogateescape")
+    said = str(InputError(name, Path("n", name), f"{name} is", f"Move {name}."))
+    assert said.count(r"fl\udce9.plan") == 4
+    assert said.isascii()
 
 
 def refused(*arguments: str | Path) -> str:
@@ -44,54 +67,55 @@ def refused(*arguments: str | Path) -> str:
     return said
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("fly", "nowhere"), "MISSION = 'nowhere'"),
-        (("fly", "environment-1", "--seed", "-1"), "--seed"),
-        (("fly", "environment-1", "--profile", "bold"), "--profile"),
-        (("fly", "environment-1", "environment-2"), "environment-2"),
-        (("plan", "environment-1", "environment-1", "--figure", "/nowhere/x.png"), "--figure"),
-        (("plan", "environment-1", "environment-1", "--figure", "x.jpg"), ".png, .svg or .pdf"),
-        (("export", str(HILLS)), "kml, geojson, csv"),
-    ],
-    ids=lambda value: value[-1] if isinstance(value, tuple) else "",
-)
-def test_wrong_input_is_one_line_and_exit_code_2(arguments: tuple[str, ...], words: str) -> None:
-    assert words in refused(*arguments)
+REFUSED = {
+    "fly nowhere": "MISSION = 'nowhere'",
+    "fly environment-1 --seed -1": "--seed",
+    "fly environment-1 --profile bold": "--profile",
+    "fly environment-1 environment-2": "environment-2",
+    "fly environment-1 --connect 14550": "--connect = '14550'",
+    "preflight environment-1 --connect /dev/null,57600": "--connect = '/dev/null,57600'",
+    "fly environment-1 --system 0": "--system",
+    "preflight environment-1 --system 256": "--system",
+    "fly environment-1 --signing-key {key}": "chmod 600",
+    "preflight environment-1 --signing-key {key}": "chmod 600",
+    "fly environment-1 --resume": "--resume",
+    "fly environment-1 --resume --out {key}": "--out",
+    "fly environment-1 --resume --out {other}": "mission.toml",
+    "fly environment-1 --resume --out {flown}": "MISSION.*of another mission, 'hills'",
+    "fly {hills}/mission.toml --out {flown}": "holds a flight already.*--resume",
+    "plan environment-1 environment-1 --figure /nowhere/x.png": "--figure",
+    "plan environment-1 environment-1 --figure x.jpg": ".png, .svg or .pdf",
+    "plan {hills}/world.toml {theirs}": "its targets come from the vehicle",
+    "export {hills}": "kml, geojson, csv",
+}
+"""Of a command and its arguments what is said; of links and keys more in `runtime`."""
 
 
-def test_a_plan_without_a_vehicle_has_targets_of_its_own(tmp_path: Path) -> None:
-    before, _, after = (HILLS / "mission.toml").read_text(encoding="utf-8").partition("[[targets]]")
-    text = f"{before}[from_vehicle]\ntargets = true\n\n{after[after.index('[') :]}"
-    (tmp_path / "mission.toml").write_text(text, encoding="utf-8")
-    said = refused("plan", HILLS / "world.toml", tmp_path / "mission.toml")
-    assert "its targets come from the vehicle" in said
-
-
-@pytest.mark.parametrize("command", ["fly", "preflight"])
-@pytest.mark.parametrize(
-    "option",
-    [
-        "--connect=14550",
-        "--connect=/dev/null,57600",
-        "--system=0",
-        "--system=256",
-        "--signing-key={key}",
-    ],
-)
-def test_so_are_a_link_a_system_and_a_key_that_cannot_be(
-    command: str, option: str, tmp_path: Path
-) -> None:
-    """A key that others can read is not shown.  Each that cannot be: `tests/runtime`."""
-    key, out = tmp_path / "key", tmp_path / "run"
+@pytest.mark.parametrize("command", REFUSED)
+def test_wrong_input_is_one_line_and_exit_code_2(command: str, tmp_path: Path) -> None:
+    """And nothing is written; a key that others can read is not shown."""
+    key, other, theirs = (tmp_path / name for name in ("key", "other", "theirs.toml"))
     key.write_text("hush hush\n", encoding="utf-8")
     key.chmod(0o644)
-    options = (option.format(key=key), *(("--out", out) if command == "fly" else ()))
-    line = refused(command, "environment-1", *options)
-    assert option.partition("=")[0] in line or "chmod 600" in line
+    other.mkdir()
+    (other / "mission.toml").write_text("[package]\nname = 'x'\n", encoding="utf-8")
+    before, _, after = (HILLS / "mission.toml").read_text(encoding="utf-8").partition("[[targets]]")
+    theirs.write_text(f"{before}[from_vehicle]\ntargets = true\n\n{after[after.index('[') :]}")
+    places = {"key": key, "other": other, "theirs": theirs, "hills": HILLS}
+    places["flown"] = kept(tmp_path / "flown", b"{}")
+    before_it = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
+    line = refused(*(word.format(**places) for word in command.split()))
+    assert re.search(REFUSED[command], line)
     assert "hush hush" not in line
-    assert not out.exists()
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before_it
+
+
+def kept(folder: Path, resume: bytes) -> Path:
+    """A run folder of an interrupted flight."""
+    folder.mkdir()
+    (folder / "mission.toml").write_bytes((HILLS / "mission.toml").read_bytes())
+    (folder / "resume.json").write_bytes(resume)
+    return folder
 
 
 def test_so_it_is_of_the_program_and_of_what_cannot_be_printed() -> None:
@@ -120,30 +144,70 @@ def test_a_page_on_a_port_that_is_taken(tmp_path: Path) -> None:
         assert f"--view-port = {port}" in refused("view", folder, "--view-port", str(port))
 
 
-def kept(folder: Path, resume: bytes) -> Path:
-    """A run folder of an interrupted flight."""
-    folder.mkdir()
-    (folder / "mission.toml").write_bytes((HILLS / "mission.toml").read_bytes())
-    (folder / "resume.json").write_bytes(resume)
-    return folder
+# --- exit codes
 
 
-def test_to_go_on_needs_the_folder_of_that_mission(tmp_path: Path) -> None:
-    file, other = tmp_path / "file", tmp_path / "other"
-    file.write_text("", encoding="utf-8")
-    other.mkdir()
-    (other / "mission.toml").write_text("[package]\nname = 'x'\n", encoding="utf-8")
-    run = kept(tmp_path / "run", b"{}")
-    out: tuple[str | Path, ...]
-    for out, words in (
-        ((), "--resume"),
-        (("--out", file), "--out"),
-        (("--out", other), "mission.toml"),
-        (("--out", run), "MISSION = 'environment-1'.*of another mission, 'hills'"),
-    ):
-        assert re.search(words, refused("fly", "environment-1", *out, "--resume"))
-    line = refused("fly", HILLS / "mission.toml", "--out", run)  # nor is it flown over
-    assert re.search("holds a flight already.*--resume", line)
+def test_the_service_starts_again_what_may_go_on_and_nothing_that_was_decided() -> None:
+    text = (ROOT / "deploy" / "companion.service").read_text(encoding="utf-8")
+    [prevented] = re.findall(r"^RestartPreventExitStatus=(.*)$", text, re.MULTILINE)
+    decided = {FlightFailed.exit_code, InputError.exit_code, STOPPED}
+    assert set(map(int, prevented.split())) == decided == {1, 2, 130}
+    assert not decided & {FlightInterrupted.exit_code, CRASHED}
+    assert "Restart=on-failure" in text
+    assert "StartLimitIntervalSec=0" in text  # a vehicle in the air is not given up for trying
+    page = (ROOT / "docs" / "connecting.md").read_text(encoding="utf-8")
+    for code in (0, *decided, FlightInterrupted.exit_code, CRASHED):
+        assert f"| {code} |" in page
+
+
+@pytest.mark.parametrize(
+    ("part", "raised", "code"),
+    [("app", ZeroDivisionError("made up"), CRASHED), ("main", KeyboardInterrupt(), STOPPED)],
+)
+def test_a_crash_is_a_traceback_with_a_code_of_its_own_and_ctrl_c_is_none(
+    part: str,
+    raised: BaseException,
+    code: int,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Also while the program is loaded."""
+
+    def breaks(**_: object) -> None:
+        raise raised
+
+    monkeypatch.setattr(cli, part, breaks)
+    with pytest.raises(SystemExit) as ended:
+        companion.main()
+    assert ended.value.code == code
+    assert ("ZeroDivisionError: made up" in capsys.readouterr().err) == (code == CRASHED)
+
+
+def test_closed_streams_and_poor_encodings_are_no_crash(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = io.BytesIO()
+    monkeypatch.setattr(sys, "stdin", None)
+    monkeypatch.setattr(sys, "stderr", None)
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(shown, encoding="ascii"))
+    monkeypatch.setattr(sys, "argv", ["companion", "check", "nowhere"])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == InputError.exit_code
+    with sys.stdin, sys.stderr:
+        assert sys.stdin.read() == ""
+    sys.stdout.write("run folder: Übung")
+    sys.stdout.flush()
+    assert shown.getvalue() == rb"run folder: \xdcbung"
+
+
+@pytest.mark.usefixtures("hurried")
+@pytest.mark.parametrize("command", ["fly", "preflight"])
+def test_no_vehicle_is_said_within_ten_seconds(command: str, tmp_path: Path) -> None:
+    out = ("--out", tmp_path / "run") if command == "fly" else ()
+    code, shown, said = answered(command, HILLS / "mission.toml", *out, *connect(free_port()))
+    assert code == 1
+    assert ("no vehicle was heard within 10 s" in said) == (command == "fly")
+    assert ("none was heard" in shown) == (command == "preflight")
+    assert len(said.splitlines()) == 1
 
 
 @pytest.mark.usefixtures("hurried")
@@ -152,8 +216,7 @@ def test_what_was_kept_and_cannot_be_read_is_said_and_gone_on_without(tmp_path: 
 
     The mission is the folder's own, whatever has become of the file that it was given as.
     """
-    torn = b'{"schema":"companion-resume","vers'
-    folder = kept(tmp_path / "run", torn)
+    folder = kept(tmp_path / "run", b'{"schema":"companion-resume","vers')
     (folder / "journal.jsonl").write_bytes(b'{"schema":"companion-journal","version":3}\n{"t_')
     (folder / "flight.tlog").write_bytes(b"\x00\x01")
     options = ("--out", folder, "--resume", *connect(free_port()))
@@ -163,13 +226,19 @@ def test_what_was_kept_and_cannot_be_read_is_said_and_gone_on_without(tmp_path: 
     assert "no vehicle was heard" in errors
     assert said.count("warning: taking over without memory of the flight: resume.json") == 1
     journal = (folder / "journal.jsonl").read_text(encoding="utf-8").splitlines()
-    entries = [json.loads(line) for line in journal]
-    [resumed] = [entry for entry in entries if entry.get("kind") == "resumed"]
+    [resumed] = [each for each in map(json.loads, journal) if each.get("kind") == "resumed"]
     assert "resume.json" in resumed["lost"]
 
 
-def connect(port: int) -> tuple[str, str]:
-    return ("--connect", f"udpin:127.0.0.1:{port}")
+def test_a_planner_that_dies_before_a_vehicle_is_heard_is_not_taken_for_a_lack_of_one() -> None:
+    session = Session(load_mission("valley"), seed=1, lockstep=False)
+    session.part_died("planner", "made up")
+    flown = FlightSummary(session=session, end=session.run().end)
+    with pytest.raises(FlightFailed, match="planner: made up"):
+        cli._exit_as_it_ended(flown, "udpin:127.0.0.1:1")
+
+
+# --- with a vehicle
 
 
 @pytest.fixture
@@ -197,25 +266,6 @@ def test_whether_a_vehicle_may_fly_is_told(simulated: int, tmp_path: Path) -> No
     assert said == "error: 1 of 1 checks refuse the flight\n"
 
 
-@pytest.mark.usefixtures("hurried")
-@pytest.mark.parametrize("command", ["fly", "preflight"])
-def test_no_vehicle_is_said_within_ten_seconds(command: str, tmp_path: Path) -> None:
-    out = ("--out", tmp_path / "run") if command == "fly" else ()
-    code, shown, said = answered(command, HILLS / "mission.toml", *out, *connect(free_port()))
-    assert code == 1
-    assert ("no vehicle was heard within 10 s" in said) == (command == "fly")
-    assert ("none was heard" in shown) == (command == "preflight")
-    assert len(said.splitlines()) == 1
-
-
-def test_a_planner_that_dies_before_a_vehicle_is_heard_is_not_taken_for_a_lack_of_one() -> None:
-    session = Session(load_mission("valley"), seed=1, lockstep=False)
-    session.part_died("planner", "made up")
-    flown = FlightSummary(session=session, end=session.run().end)
-    with pytest.raises(FlightFailed, match="planner: made up"):
-        cli._exit_as_it_ended(flown, "udpin:127.0.0.1:1")
-
-
 WATCHED_ROWS = 150
 """Ten in a second of the vehicle's."""
 
@@ -224,17 +274,17 @@ def test_a_shadow_watches_and_never_commands(simulated: int, tmp_path: Path) -> 
     truth, out = tmp_path / "truth.jsonl", tmp_path / "run"
     journal = out / "journal.jsonl"
     command = (COMPANION, "fly", "sitl-px4", *connect(simulated), "--shadow", "--out", out)
-    companion = Program("companion", *command, folder=tmp_path, environment=dict(os.environ))
+    program = Program("companion", *command, folder=tmp_path, environment=dict(os.environ))
     try:
-        companion.until(lambda: journal.exists() and b'"phase":"shadow"' in journal.read_bytes())
+        program.until(lambda: journal.exists() and b'"phase":"shadow"' in journal.read_bytes())
         rows = len(truth.read_bytes().splitlines())
-        companion.until(lambda: len(truth.read_bytes().splitlines()) > rows + WATCHED_ROWS)
-        companion.process.send_signal(signal.SIGINT)
-        companion.expect("outcome")
-        assert companion.interrupt(60.0) == 130, companion.transcript  # while it draws the picture
+        program.until(lambda: len(truth.read_bytes().splitlines()) > rows + WATCHED_ROWS)
+        program.process.send_signal(signal.SIGINT)
+        program.expect("outcome")
+        assert program.interrupt(60.0) == 130, program.transcript  # while it draws the picture
     finally:
-        companion.end()
-    assert companion.transcript.endswith(f"run folder: {out}\n")
+        program.end()
+    assert program.transcript.endswith(f"run folder: {out}\n")
     lines = journal.read_text(encoding="utf-8").splitlines()
     kinds = {json.loads(line).get("kind") for line in lines}
     assert not kinds & {"arm", "take off", "set mode"}

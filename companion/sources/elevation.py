@@ -159,6 +159,7 @@ def _oddities(source: Any, vertical_datum: str) -> Iterator[tuple[str, str]]:
     ellipsoid = flat.ellipsoid.name if flat.ellipsoid else "none"
     meridian = flat.prime_meridian.longitude if flat.prime_meridian else 0.0
     at, unit = source.transform, (source.units[0] or "m").lower()
+    cell_m = max(at.a, -at.e) * _DEG_M  # its longer side, at the equator
     datum = crs.sub_crs_list[1].name if crs.is_compound else vertical_datum
     rules = (
         (not flat.is_geographic or ellipsoid not in _ELLIPSOIDS or meridian != 0.0,
@@ -170,8 +171,8 @@ def _oddities(source: Any, vertical_datum: str) -> Iterator[tuple[str, str]]:
          "Correct terrain.vertical_datum."),
         (at.b or at.d or at.a <= 0.0 or at.e >= 0.0,
          "its rows do not run from north to south", _WARP),
-        (max(at.a, -at.e) * _DEG_M > _COARSEST_M,
-         f"its cells of {-at.e * _DEG_M:.0f} m are coarser than {_COARSEST_M:.0f} m",
+        (cell_m > _COARSEST_M,
+         f"its cells of {cell_m:.0f} m are coarser than {_COARSEST_M:.0f} m",
          "Name a finer file."),
         (source.count != 1 or np.dtype(source.dtypes[0]).kind not in "iuf",
          "it is not one band of heights", "Name a file of elevations."),

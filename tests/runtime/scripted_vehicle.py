@@ -15,6 +15,7 @@ from companion.mission.events import End
 from companion.mission.journal import Told
 from companion.mission.phases import Phase
 from companion.planner.request import PlanOutcome, PlanRequest
+from companion.runtime.link import Link
 from companion.session import Session
 
 MISSION = replace(load_mission("environment-1"), targets_ne_m=((4000.0, 3000.0),))
@@ -22,6 +23,7 @@ GEOD = pyproj.Geod(ellps="WGS84")
 HOME_AMSL_M = 2990.0
 ORIGIN = (470000000, 80000000)
 TICK_MS = 100
+_MOST = 5000  # datagrams of one flight, or the test has failed
 GUIDED, BRAKE, LAND = 4, 17, 9
 PARAMETERS = {  # ArduCopter's own names and units
     "ANGLE_MAX": 4500.0,
@@ -298,3 +300,24 @@ def pair(*, lockstep: bool = True, seed: int = 1, **keywords: Any) -> Pair:
 
 def messages(frames: list[bytes]) -> list[Any]:
     return list(wire.MAVLink(None).parse_buffer(b"".join(frames)) or ())
+
+
+class ScriptedLink(Link):
+    """Stands in for the socket: one tick of the vehicle for each receive."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self.vehicle, self.count = vehicle, 0
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        del timeout_s
+        self.count += 1
+        assert self.count < _MOST, "the flight does not end"
+        return self.vehicle.tick() or None
+
+    def clock(self) -> float:
+        """A tenth of a second passes in each."""
+        return 0.1 * self.count
+
+    def send(self, frames: list[bytes]) -> None:
+        for frame in frames:
+            self.vehicle.hear(frame)

@@ -1,11 +1,11 @@
-"""A session that only streams, and a link of its own: the runtime's parts without a mission."""
+"""A session that only streams, and links of its own: the runtime's parts without a mission."""
 
-import queue
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 from pymavlink.dialects.v20 import all as wire
 
@@ -17,7 +17,7 @@ from companion.planner.request import PlanRequest
 from companion.runtime.link import Link
 from companion.world.known_map import empty_map
 
-PATIENCE_S = 20.0
+PATIENCE_S, PERIOD_S = 20.0, 0.02
 CODEC = wire.MAVLink(None, srcSystem=1, srcComponent=195)
 
 
@@ -27,12 +27,19 @@ def packed(message: Any) -> bytes:
     return frame
 
 
-SETPOINT = packed(
-    wire.MAVLink_set_position_target_global_int_message(
-        0, 1, 1, 5, 2496, 470000000, 80000000, 500.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+def setpoint(at_s: float = 0.0) -> bytes:
+    return packed(
+        wire.MAVLink_set_position_target_global_int_message(
+            round(at_s * 1000), 1, 1, 5, 2496, 470000000, 80000000, 500.0, *[1.0] * 8
+        )
     )
-)
-HEARTBEAT = packed(wire.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3))
+
+
+def heartbeat() -> bytes:
+    return packed(wire.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3))
+
+
+SETPOINT, HEARTBEAT = setpoint(), heartbeat()
 HOLD = packed(wire.MAVLink_command_long_message(1, 1, 176, 0, 1.0, 17.0, *[0.0] * 5))
 
 
@@ -56,15 +63,13 @@ def request_of(plan_id: int, *, planning_time_s: float = 0.5) -> PlanRequest:
 class StubSession:
     """Answers each datagram with a setpoint and a heartbeat.
 
-    on_datagram(session, number) is called with the number of each, in the decider's thread.
+    on_datagram(number) is called with the number of each, in the decider's thread.
     """
 
-    on_datagram: Callable[["StubSession", int], None] = lambda _session, _number: None
+    on_datagram: Callable[[int], object] = lambda _number: None
     out: Output = field(default_factory=Output)
     now_s: float = 0.0
     received: list[bytes] = field(default_factory=list)
-    arrived_s: list[float] = field(default_factory=list)
-    died: list[tuple[str, str]] = field(default_factory=list)
     silences_s: list[float] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
     end: End | None = None
@@ -76,15 +81,15 @@ class StubSession:
         )
     )
 
-    def receive(self, data: bytes, at_s: float) -> bool:
+    def receive(self, data: bytes, _at_s: float) -> bool:
+        """Whether it is the vehicle's."""
         self.received.append(data)
-        self.arrived_s.append(at_s)
         self.now_s += 0.05
-        self.on_datagram(self, len(self.received))
-        for frame in (SETPOINT, HEARTBEAT):
+        self.on_datagram(len(self.received))
+        for frame in (setpoint(self.now_s), heartbeat()):
             self.out.frames.append(frame)
             self.out.record.append((self.now_s, frame))
-        return True
+        return data != b"another's"
 
     def take_output(self) -> Output:
         out, self.out = self.out, Output()
@@ -103,8 +108,8 @@ class StubSession:
     def ask(self, request: PlanRequest) -> None:
         self.out.plan = request
 
-    def deliver(self, outcome: object) -> None:
-        del outcome
+    def deliver(self, _outcome: object) -> None:
+        pass
 
     def silence(self, silent_s: float) -> None:
         self.silences_s.append(silent_s)
@@ -119,38 +124,31 @@ class StubSession:
         return [HOLD]
 
     def part_died(self, part: str, error: str) -> None:
-        self.died.append((part, error))
         self.out.frames.append(HOLD)
         self.out.record.append((self.now_s, HOLD))
-        self.out.journal.append({"t_s": self.now_s, "kind": "end", "reason": part})
+        self.out.journal.append({"t_s": 1.0, "kind": "part died", "part": part, "error": error})
         self.end = End(outcome=Outcome.FAILED, reason=f"{part} died", remedy="")
 
     def complain(self, text: str) -> None:
         self.complaints.append(text)
 
 
-class QueueLink(Link):
-    """A link whose vehicle is the test: `say` puts in, `sent` collects with times."""
+class SpeakingLink(Link):
+    """A vehicle that speaks at 50 Hz; what it is told is kept, with times."""
 
-    def __init__(self, clock: Callable[[], float]) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.clock = clock
         self.sent: list[tuple[float, bytes]] = []
-        self._more_sent = threading.Condition()
-        self.answers: list[object] = []
-        self.incoming: queue.SimpleQueue[bytes | BaseException] = queue.SimpleQueue()
-        self.sender: object = "vehicle"
+        self._more_sent, self._speaks_s = threading.Condition(), time.monotonic()
 
     def receive(self, timeout_s: float) -> bytes | None:
-        try:
-            item = self.incoming.get(timeout=timeout_s)
-        except queue.Empty:
+        """What it says; if nobody listens it waits."""
+        wait_s = self._speaks_s - time.monotonic()
+        time.sleep(max(min(wait_s, timeout_s), 0.0))
+        if wait_s > timeout_s:
             return None
-        if isinstance(item, BaseException):
-            raise item
-        return item
-
-    def answer_to(self, sender: object) -> None:
-        self.answers.append(sender)
+        self._speaks_s += PERIOD_S
+        return b"position"
 
     def send(self, frames: list[bytes]) -> None:
         now_s = self.clock()
@@ -164,8 +162,5 @@ class QueueLink(Link):
             assert self._more_sent.wait_for(done, PATIENCE_S)
 
     def times_of(self, frame: bytes) -> list[float]:
-        return [time_s for time_s, each in self.sent if each == frame]
-
-
-def as_any(thing: object) -> Any:
-    return cast(Any, thing)
+        """When messages of its kind were sent."""
+        return [time_s for time_s, each in self.sent if each[7:10] == frame[7:10]]

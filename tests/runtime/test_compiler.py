@@ -48,9 +48,18 @@ def test_what_is_loaded_is_all_that_a_plan_calls(monkeypatch: pytest.MonkeyPatch
     }
 
 
+# --- the cache on disk
+
+
+def folder_of_cache(home: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(home))
+    assert jit.cache_on_disk()
+    return Path(os.environ["NUMBA_CACHE_DIR"])
+
+
 @pytest.mark.parametrize("torn", [True, False])
 @pytest.mark.parametrize("errors", [(pickle.UnpicklingError,), (RuntimeError, RuntimeError)])
-def test_a_cache_that_cannot_be_read_is_made_anew_and_a_compiler_that_fails_says_so(
+def test_one_that_cannot_be_read_is_made_anew_and_a_compiler_that_fails_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, torn: bool, errors: tuple[type[Exception], ...]
 ) -> None:
     folder, plans, left = folder_of_cache(tmp_path, monkeypatch), list[int](), list(errors)
@@ -70,33 +79,23 @@ def test_a_cache_that_cannot_be_read_is_made_anew_and_a_compiler_that_fails_says
     assert not (folder / "torn.nbi").exists()
 
 
-# --- the cache on disk
-
-
-def folder_of_cache(home: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(home))
-    assert jit.cache_on_disk()
-    return Path(os.environ["NUMBA_CACHE_DIR"])
-
-
-@pytest.mark.parametrize("index", range(len(jit.SOURCES)))
 def test_the_same_sources_have_the_same_folder_and_a_change_in_any_has_another(
-    index: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Under the folder that is given, or inherited by another process."""
-    home = tmp_path
-    before, sources = folder_of_cache(home, monkeypatch), list(jit.SOURCES)
-    assert before.parent == home
-    assert list(before.iterdir()) == []
+    before, sources = folder_of_cache(tmp_path, monkeypatch), jit.SOURCES
+    assert (before.parent, [*before.iterdir()]) == (tmp_path, [])
     assert jit.cache_on_disk()  # as a process that inherits it
     assert Path(os.environ["NUMBA_CACHE_DIR"]) == before
-    shutil.copy(Path(jit.__file__).parent / f"{sources[index]}.py", home / "changed.py")
-    sources[index] = str(home / "changed")
-    monkeypatch.setattr(jit, "SOURCES", tuple(sources))
-    assert folder_of_cache(home, monkeypatch) == before  # the same text elsewhere
-    with (home / "changed.py").open("a", encoding="utf-8") as file:
-        file.write("# another comment\n")
-    assert folder_of_cache(home, monkeypatch) != before
+    for index, source in enumerate(sources):
+        changed = tmp_path / f"changed{index}"
+        shutil.copy(Path(jit.__file__).parent / f"{source}.py", changed.with_suffix(".py"))
+        others = (*sources[:index], str(changed), *sources[index + 1 :])
+        monkeypatch.setattr(jit, "SOURCES", others)
+        assert folder_of_cache(tmp_path, monkeypatch) == before  # the same text elsewhere
+        with changed.with_suffix(".py").open("a", encoding="utf-8") as file:
+            file.write("# another comment\n")
+        assert folder_of_cache(tmp_path, monkeypatch) != before
 
 
 UNCACHED = """
@@ -110,7 +109,7 @@ jit.compiled(kernels.search)
 
 
 @pytest.mark.xdist_group("compiled")
-def test_on_a_read_only_system_the_kernel_is_compiled_without_a_cache(tmp_path: Path) -> None:
+def test_on_a_read_only_system_the_kernel_is_compiled_without_one(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("not a folder")
     nowhere = str(tmp_path / "file" / "home")
     environment = {**os.environ, "HOME": nowhere, "XDG_CACHE_HOME": nowhere, "NUMBA_OPT": "0"}

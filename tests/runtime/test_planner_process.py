@@ -6,23 +6,20 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import odd_planners as odd
 import pytest
 from stub_session import PATIENCE_S, request_of
 
-from companion.planner.plan import plan
-from companion.planner.request import Planned, PlanRequest
+from companion.runtime import planner_process
 from companion.runtime.planner_process import PlannerEndedError, PlannerProcess
 
 
 @pytest.fixture
 def of() -> Iterator[Callable[..., PlannerProcess]]:
-    """Makes one that is ready; it does what `plan` does if nothing is said."""
+    """Makes one that is ready.  Its plans are those of this process: `closed_loop`."""
     with contextlib.ExitStack() as stack:
 
         def made(*does: Any, **keywords: Any) -> PlannerProcess:
@@ -34,49 +31,21 @@ def of() -> Iterator[Callable[..., PlannerProcess]]:
         yield made
 
 
-def planned(planner: PlannerProcess, request: PlanRequest) -> Any:
-    planner.ask(request)
-    answer = planner.answer(PATIENCE_S)
-    assert answer is not None
-    assert planner.answer() is None  # once
-    return answer[0]
-
-
-def test_a_plan_is_the_same_from_a_process_that_answers_any_number(of: Any) -> None:
-    planner = of()
-    before = planner.process
-    assert [planned(planner, request_of(number)).plan_id for number in (1, 2, 3)] == [1, 2, 3]
-    assert planner.process is before
-    request = request_of(7)
-    expected, found = plan(request, lambda: False), planned(planner, request)
-    assert type(found) is type(expected)
-    if isinstance(expected, Planned):
-        assert isinstance(found, Planned)
-        control = expected.subpath.control_nea_m
-        np.testing.assert_allclose(found.subpath.control_nea_m, control, atol=1e-6)
-
-
-def test_arrays_arrive_as_they_were_whatever_their_order(of: Any) -> None:
-    planner, request = of(odd.echoes, odd.nothing), request_of(1)
-    heights = np.arange(1_000_000.0).reshape(1000, 1000)
-    heights[3, :3] = np.nan, np.inf, -np.inf
-    frozen = heights.copy()
-    frozen.setflags(write=False)
-    for upper_m in (heights, heights.T, heights[::3, 1:-5], heights[:0], frozen):
-        known = replace(request.known, upper_m=upper_m, seen=upper_m > 7.0)
-        echo = planned(planner, replace(request, known=known)).known
-        np.testing.assert_array_equal(echo.upper_m, upper_m)
-        np.testing.assert_array_equal(echo.seen, known.seen)
-
-
-def test_a_plan_that_raises_is_an_error_with_its_words_and_what_it_prints_is_no_output_of_ours(
-    of: Any, capfd: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("does", "why"),
+    [(odd.raises, "ZeroDivisionError: made up"), (odd.never_ends, "it has stood still")],
+)
+def test_a_plan_that_raises_or_does_not_end_is_an_error_and_what_it_prints_is_no_output_of_ours(
+    of: Any, does: Any, why: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.setattr(planner_process, "_SLACK_S", 0.3)
     capfd.readouterr()
-    planner = of(odd.raises, odd.is_noisy)
-    planner.ask(request_of(1))
-    with pytest.raises(PlannerEndedError, match="ZeroDivisionError: made up"):
-        planner.answer(PATIENCE_S)
+    planner = of(does, odd.is_noisy)
+    planner.ask(request_of(1, planning_time_s=0.2))
+    if does is odd.never_ends:
+        assert planner.answer(0.2) is None
+    with pytest.raises(PlannerEndedError, match=why):
+        planner.answer(1.0)
     assert capfd.readouterr().out == ""
 
 
@@ -86,17 +55,18 @@ def test_of_two_plans_that_are_asked_for_only_the_newer_counts_and_a_search_ends
 ) -> None:
     """The first stops as soon as nobody waits for it; in lockstep nothing else stops one."""
     planner = of(odd.searches, odd.nothing, hurries=hurries)
-    planner.ask(request_of(1, planning_time_s=1000.0))
-    planner._sender.join()
-    planner.ask(request_of(2, planning_time_s=0.1))
-    assert planner.answer(PATIENCE_S) is None  # of the first
-    answer = planner.answer(PATIENCE_S if hurries else 0.2)
-    if hurries:
-        assert answer is not None
-        assert answer[0].plan_id == 2
+    for number in (1, 3):
+        planner.ask(request_of(number, planning_time_s=1000.0))
+        planner._sender.join()
+        planner.ask(request_of(number + 1, planning_time_s=0.1))
+        assert planner.answer(PATIENCE_S) is None  # of the first
+        answer = planner.answer(PATIENCE_S if hurries else 0.2)
+        assert (answer is not None) is hurries
+        if answer is None:
+            return
+        assert answer[0].plan_id == number + 1
         assert 0.08 <= answer[1] < 1.0
-    else:
-        assert answer is None
+        assert planner.answer() is None  # once
 
 
 def test_a_process_that_does_not_come_up_or_cannot_be_started_is_an_error(
@@ -112,30 +82,25 @@ def test_a_process_that_does_not_come_up_or_cannot_be_started_is_an_error(
 PROGRAM = """
 import os, signal
 import odd_planners as odd
+from stub_session import request_of
 from companion.runtime.planner_process import PlannerProcess
-planner = PlannerProcess({does})
+planner = PlannerProcess(odd.echoes, odd.cannot_hear_ctrl_c)
 while not planner.is_ready:
     planner.answer(1.0)
-{then}
+for number in (signal.SIGINT, signal.SIGTERM):
+    os.kill(planner.process.pid, number)
+planner.ask(request_of(1))
+while planner.answer(1.0) is None:
+    pass
+os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
-def ended(does: str, then: str) -> subprocess.CompletedProcess[bytes]:
-    """A program that has had a planner, the first process that it has started."""
-    command = [sys.executable, "-c", PROGRAM.format(does=does, then=then)]
-    here = Path(__file__).parent
-    return subprocess.run(command, cwd=here, capture_output=True, timeout=60, check=False)
-
-
-def test_a_planner_does_not_outlive_a_companion_that_is_killed() -> None:
-    """Its standard error ends when the last process that holds it does."""
-    parent = ended("", "os.kill(os.getpid(), signal.SIGKILL)")
+def test_a_planner_does_not_outlive_a_companion_that_is_killed_nor_end_by_ctrl_c() -> None:
+    """Nor while it is started, nor by SIGTERM; its standard error ends with who holds it last."""
+    command, here = [sys.executable, "-c", PROGRAM], Path(__file__).parent
+    parent = subprocess.run(command, cwd=here, capture_output=True, timeout=60, check=False)
     assert (parent.returncode, parent.stderr) == (-signal.SIGKILL, b"")
-
-
-def test_ctrl_c_in_a_terminal_does_not_end_a_planner_that_is_being_started() -> None:
-    """Not the first process that is started, either, of which there may be one in a program."""
-    assert ended("odd.echoes, odd.cannot_hear_ctrl_c", "planner.close()").returncode == 0
 
 
 FACTORISED = """

@@ -15,14 +15,13 @@ from typing import Any
 import pytest
 from programs import free_port
 from pymavlink.dialects.v20 import all as wire
-from stub_session import HEARTBEAT, HOLD, packed
+from stub_session import HEARTBEAT, HOLD, packed, setpoint
 
 from companion.errors import InputError
 from companion.runtime import link as links
 from companion.runtime.link import Link, open_link
 
 PATIENCE_S = 10.0
-FRAME = bytes(range(64))
 
 
 def until(done: Callable[[], Any]) -> None:
@@ -38,11 +37,25 @@ def heard(link: Link, count: int) -> bytes:
     return b"".join(pieces)
 
 
-# --- the vehicle's end, over TCP and over a serial port
+def arriving(link: Link, far: int, enough: Callable[[bytes], bool], *goes_on: bytes) -> bytes:
+    """What comes out at the far end, until it is enough; meanwhile frames go on being sent."""
+    data = [b""]
+    os.set_blocking(far, False)
+
+    def comes() -> bool:
+        link.send([*goes_on])
+        assert link.receive(0.01) is None
+        with contextlib.suppress(BlockingIOError):
+            data[0] += os.read(far, 1 << 20)
+        return enough(data[0])
+
+    until(comes)
+    os.set_blocking(far, True)
+    return data[0]
 
 
 class Server:
-    """Waits for the call of tcp:."""
+    """The vehicle's end of tcp:, which waits for the call."""
 
     computers = 2 * 2048 + 1024
     """Bytes that computers take: as much again is what it says that it takes."""
@@ -59,7 +72,6 @@ class Server:
         until(lambda: link.receive(0.02) is None and select.select([self.listener], (), (), 0)[0])
         self._peers.append(self.listener.accept()[0])
         assert link.receive(0.02) is None
-        self._peers[-1].settimeout(PATIENCE_S)
         return self._peers[-1].fileno()
 
     def goes(self) -> None:
@@ -68,18 +80,13 @@ class Server:
     def comes_back(self) -> None:
         """It has never stopped to listen."""
 
-    def assert_left_alone(self) -> None:
-        self.listener.setblocking(False)
-        with pytest.raises(BlockingIOError):
-            self.listener.accept()
-
     def close(self) -> None:
         for each in (*self._peers, self.listener):
             each.close()
 
 
 class Terminal:
-    """A pseudo-terminal under a name of its own, as udev gives one: it can be pulled out."""
+    """That of a serial port, a pseudo-terminal under a name of its own: it can be pulled out."""
 
     computers = 5 * 4096
     """Bytes: it holds 4 kB at its end, and some more of small pieces on the way."""
@@ -100,22 +107,17 @@ class Terminal:
         os.close(self.far)
 
     def answers(self, link: Link) -> int:
-        """The end of a port that is open."""
-        until(lambda: link.receive(0.02) is None and self._is_reached(link))
-        os.set_blocking(self.far, True)
+        """The far end, once the link has opened the port."""
+        arriving(link, self.far, lambda data: data.endswith(b"?"), b"?")
         return self.far
 
-    def _is_reached(self, link: Link) -> bool:
-        link.send([b"?"])
-        os.set_blocking(self.far, False)
-        with contextlib.suppress(BlockingIOError):
-            return os.read(self.far, 1000).endswith(b"?")
-        return False
-
-    def assert_left_alone(self) -> None:
-        open_link(self.name).close()
-
     close = goes
+
+
+@pytest.fixture(autouse=True)
+def _at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is lost is reached for again without a wait."""
+    monkeypatch.setattr(links, "_AGAIN_S", 0.0)
 
 
 @pytest.fixture
@@ -130,83 +132,34 @@ def terminal(tmp_path: Path) -> Iterator[Terminal]:
         yield made
 
 
-@pytest.fixture
-def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is lost is reached for again without a wait."""
-    monkeypatch.setattr(links, "_AGAIN_S", 0.0)
-
-
 @pytest.fixture(params=["server", "terminal"])
 def end(request: pytest.FixtureRequest) -> Any:
     return request.getfixturevalue(request.param)
 
 
-def arriving(link: Link, far: int, enough: Callable[[bytes], bool], *goes_on: bytes) -> bytes:
-    """What comes out at the far end, until it is enough; meanwhile frames go on being sent."""
-    data = [b""]
-    os.set_blocking(far, False)
-
-    def comes() -> bool:
-        link.send([*goes_on])
-        assert link.receive(0.01) is None
-        with contextlib.suppress(BlockingIOError):
-            data[0] += os.read(far, 1 << 20)
-        return enough(data[0])
-
-    until(comes)
-    return data[0]
-
-
-def test_bytes_are_carried_both_ways(end: Server | Terminal) -> None:
-    with open_link(end.name) as link:
-        far = end.answers(link)
-        os.write(far, bytes(range(256)))
-        assert heard(link, 256) == bytes(range(256))
-        link.send([FRAME, b"one"])
-        link.answer_to(link.sender)
-        link.send([b"two"])
-        whole = FRAME + b"onetwo"
-        assert arriving(link, far, lambda data: len(data) >= len(whole)) == whole
-
-
-@pytest.mark.usefixtures("at_once")
-def test_one_that_is_lost_is_reached_again_until_the_link_is_closed(end: Server | Terminal) -> None:
+def test_bytes_go_both_ways_and_one_that_is_lost_is_reached_again_until_the_link_is_closed(
+    end: Server | Terminal,
+) -> None:
     """And nothing is raised."""
     with open_link(end.name) as link:
         for number in range(3):
             far = end.answers(link)
-            os.write(far, b"%d" % number)
-            assert heard(link, 1) == b"%d" % number
+            data = bytes([number]) * 256
+            os.write(far, data)
+            assert heard(link, 256) == data
+            link.send([data, b"one"])
+            link.answer_to(link.sender)
+            assert arriving(link, far, lambda got: b"one" in got).endswith(data + b"one")
             end.goes()
             for _ in range(3):
                 assert link.receive(0.02) is None
-                link.send([FRAME])
+                link.send([data])
             end.comes_back()
         end.answers(link)
     for _ in range(3):
         assert link.receive(0.01) is None
-    end.assert_left_alone()
-
-
-def test_who_does_not_read_loses_whole_frames_and_delays_nobody(end: Server | Terminal) -> None:
-    with open_link(end.name) as link:
-        far = end.answers(link)
-        frames = [bytes([1 + number % 251]) * 100 for number in range(200)]
-        for _ in range(500):  # 10 MB, far more than all buffers hold
-            link.send(frames)
-        last = b"!" * 100
-        got = arriving(link, far, lambda data: data.endswith(last), last)
-    assert 0 < len(got) < 10_000_000
-    assert len(got) % 100 == 0
-    assert all(len(set(got[at : at + 100])) == 1 for at in range(0, len(got), 100))
-
-
-def setpoint(at_s: float) -> bytes:
-    return packed(
-        wire.MAVLink_set_position_target_global_int_message(
-            round(at_s * 1000), 1, 1, 5, 2496, 1, 1, 500.0, 1.0, 2.0, 0.5, 0.0, 0.0, 0.0, 0.3, 0.0
-        )
-    )
+    if isinstance(end, Server):
+        assert not select.select([end.listener], (), (), 0.0)[0]  # it is left alone
 
 
 def question(number: int) -> bytes:
@@ -218,7 +171,7 @@ def test_after_a_stall_the_newest_setpoint_comes_and_no_older(end: Server | Term
     """Ten minutes of a flight in which nobody reads; then it is told to hold.
 
     No more setpoints come than the computers on the way had taken, and at last the newest; of other
-    messages none is lost, and an order comes where it was given.
+    messages none is lost or torn, and an order comes where it was given.
     """
     newest = setpoint(600.0)
     with open_link(end.name) as link:
@@ -230,6 +183,7 @@ def test_after_a_stall_the_newest_setpoint_comes_and_no_older(end: Server | Term
         link.send([HOLD])
         data = arriving(link, far, lambda data: newest in data, newest)
     told = wire.MAVLink(None).parse_buffer(data) or []
+    assert b"".join(bytes(message.get_msgbuf()) for message in told) == data
     kinds = [message.get_type() for message in told]
     hold = kinds.index("COMMAND_LONG")
     assert {m.time_boot_ms for m in told[hold + 1 :]} == {600_000}
@@ -239,23 +193,31 @@ def test_after_a_stall_the_newest_setpoint_comes_and_no_older(end: Server | Term
     assert asked == [str(number) for number in range(60)]
 
 
-def test_an_order_is_given_to_the_computer_at_once(server: Server, terminal: Terminal) -> None:
+def test_an_order_is_given_to_the_computer_at_once_but_no_setpoint_that_has_waited(
+    server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s, newest = [1_000.0], setpoint(10.0)
     with open_link(server.name) as link:
         far = server.answers(link)
+        monkeypatch.setattr(links.time, "monotonic", lambda: now_s[0])
         link.send([question(number) for number in range(100)])  # more than is to be under way
+        link.send([newest])
+        now_s[0] += 0.6
         link.send([HOLD])
+        monkeypatch.undo()
         got = b""
         while HOLD not in got:  # nobody pushes any more
             got += os.read(far, 4096)
+    assert newest not in got
+
+
+def test_of_many_orders_to_a_port_that_takes_no_more_none_is_lost(terminal: Terminal) -> None:
     orders = [packed(wire.MAVLink_command_long_message(1, 1, 176, 0, *[k] * 7)) for k in range(20)]
     with open_link(terminal.name) as link:
-        for number, order in enumerate(orders):  # this port takes no more after a while
+        for number, order in enumerate(orders):
             link.send([*map(question, range(200 * number, 200 * number + 200)), order])
         got = arriving(link, terminal.far, lambda data: orders[-1] in data)
         assert all(order in got for order in orders)
-
-
-# --- TCP
 
 
 @pytest.mark.parametrize("listens", [False, True])
@@ -273,41 +235,28 @@ def test_a_tcp_peer_that_is_not_there_yet_is_no_error_and_kept_no_order(listens:
         assert os.read(far, 100) == b"after"
 
 
-def test_a_setpoint_that_has_waited_is_not_sent(
-    server: Server, monkeypatch: pytest.MonkeyPatch
+def test_a_serial_port_has_its_baud_rate_for_one_program_alone(
+    terminal: Terminal, tmp_path: Path
 ) -> None:
-    now_s = [1_000.0]
-    with open_link(server.name) as link:
-        far = server.answers(link)
-        monkeypatch.setattr(links.time, "monotonic", lambda: now_s[0])
-        for number in range(100):
-            link.send([setpoint(0.1 * number)])
-        newest = setpoint(10.0)
-        link.send([newest])
-        now_s[0] += 0.6
-        link.send([HOLD])
-        monkeypatch.undo()
-        assert newest not in arriving(link, far, lambda data: HOLD in data)
-
-
-# --- serial
-
-
-def test_a_serial_port_is_opened_at_the_baud_rate_that_is_asked_for(terminal: Terminal) -> None:
+    (tmp_path / "a-file").write_text("", encoding="utf-8")
     for text, speed in (("", termios.B57600), (",921600", termios.B921600)):
         with open_link(f"{terminal.name}{text}"):
             assert termios.tcgetattr(terminal.far)[4:6] == [speed, speed]
+            for name, remedy in (
+                ("nothing-here", r"No such file.*plug a device in"),
+                ("a-file", "Give"),
+                (terminal.path.name, "end the program that uses it"),
+            ):
+                with pytest.raises(InputError, match=remedy) as caught:
+                    open_link(str(tmp_path / name))
+                assert "\n" not in str(caught.value)
 
 
-@pytest.mark.usefixtures("at_once")
 @pytest.mark.parametrize("step", ["tcsetattr", "tcflush"])
 def test_a_device_that_vanishes_while_it_is_opened_again_is_opened_once_more(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
-    """As the USB of a flight controller does, which is a bootloader for some seconds.
-
-    Of a port that is gone what is done to it raises no OSError.
-    """
+    """As the USB of a flight controller does; of a port that is gone this is no OSError."""
     really = getattr(termios, step)
 
     def meanwhile(*arguments: object) -> None:
@@ -325,19 +274,3 @@ def test_a_device_that_vanishes_while_it_is_opened_again_is_opened_once_more(
         terminal.comes_back()
         os.write(terminal.answers(link), b"back")
         assert heard(link, 4) == b"back"
-
-
-def test_what_is_no_serial_port_or_in_use_is_an_input_error(
-    terminal: Terminal, tmp_path: Path
-) -> None:
-    (tmp_path / "a-file").write_text("", encoding="utf-8")
-    with open_link(terminal.name):
-        for name, remedy in (
-            ("nothing-here", r"No such file.*plug a device in"),
-            ("a-file", "Give"),
-            (terminal.path.name, "end the program that uses it"),
-        ):
-            with pytest.raises(InputError, match=remedy) as caught:
-                open_link(str(tmp_path / name))
-            assert "\n" not in str(caught.value)
-    open_link(terminal.name).close()
