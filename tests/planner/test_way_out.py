@@ -1,7 +1,13 @@
-"""From rest there is a leg whenever there is a way: against a flood fill that shares no code."""
+"""From rest there is a leg whenever there is a way: against a flood fill that shares no code.
+
+    python tests/planner/test_way_out.py 10000 [FIRST]
+
+looks at as many places, and tells from which no leg was found.
+"""
 
 import math
-from collections import deque
+import sys
+from collections import Counter, deque
 from dataclasses import replace
 from functools import cache
 from itertools import count
@@ -213,3 +219,19 @@ def test_where_real_flights_gave_up_there_is_a_leg(name: str, questions: int) ->
     assert isinstance(outcome, Planned)
     assert outcome.certificate.proven
     assert outcome.subpath.length_m > 1.0
+
+
+def main(many: int, first: int = 0) -> None:
+    """Look at many places."""
+    found: Counter[tuple[bool, str]] = Counter()
+    for seed in range(first, first + many):
+        if (asked := place(seed)) is not None:
+            outcome = plan(asked[0])
+            found[asked[1], type(outcome).__name__] += 1
+            if asked[1] and not isinstance(outcome, Planned):
+                sys.stdout.write(f"no leg: {seed} {outcome}\n")
+    sys.stdout.write(f"{dict(found)}\n")
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:]))
