@@ -154,6 +154,41 @@ TRUTH = true_map(TERRAIN, BLANK)
 """Everything is."""
 
 
+# --- zones that nobody chose
+
+
+def drawn_zones(
+    rng: np.random.Generator, count: int, middle_ne_m: Any, spread_m: float, radius_m: float,
+    keep_in: float = 0.0,
+) -> tuple[Zone, ...]:  # fmt: skip
+    """So many about a place; keep_in: the share of those to stay inside of, 4 times as wide."""
+    zones = list[Zone]()
+    for k in range(count):
+        north, east = (middle_ne_m + rng.uniform(-spread_m, spread_m, 2)).tolist()
+        inside = bool(rng.random() < keep_in)
+        size_m = radius_m * float(rng.uniform(0.2, 1.0)) * (4.0 if inside else 1.0)
+        if rng.random() < 0.4:
+            circle = {"north_m": north, "east_m": east, "radius_m": size_m}
+            zones.append(CircleZone(name=f"c{k}", keep_in=inside, **circle))
+        else:
+            corners = jagged(rng, (north, east), size_m, int(rng.integers(3, 60)))
+            zones.append(PolygonZone(name=f"p{k}", vertices_ne_m=corners, keep_in=inside))
+    return tuple(zones)
+
+
+def jagged(
+    rng: np.random.Generator, middle_ne_m: tuple[float, float], radius_m: float, corners: int
+) -> tuple[tuple[float, float], ...]:
+    """A polygon; some have corners at whole numbers or twice, and some cross themselves."""
+    turns = np.linspace(0.0, math.tau, corners, endpoint=False)
+    turns = rng.permutation(turns) if rng.random() < 0.2 else turns
+    away_m = rng.uniform(0.3, 1.0, corners) * radius_m
+    places = middle_ne_m + away_m[:, None] * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+    digits = int(rng.choice([1, 9])) - math.floor(math.log10(radius_m))
+    places = np.repeat(np.round(places, digits), rng.choice([1, 1, 1, 2], corners), axis=0)
+    return tuple((north, east) for north, east in places.tolist())
+
+
 # --- legs, curves and distances
 
 

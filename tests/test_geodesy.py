@@ -1,3 +1,5 @@
+"""Metres and degrees are those of pyproj."""
+
 import cmath
 import math
 
@@ -21,24 +23,18 @@ def angle_between(a_rad: float, b_rad: float) -> float:
     return abs(cmath.phase(cmath.rect(1.0, a_rad - b_rad)))
 
 
-@given(frame=frames, north_m=metres, east_m=metres)
-def test_local_to_geodetic_and_back_is_where_it_began(
-    frame: LocalFrame, north_m: float, east_m: float
-) -> None:
-    back = frame.to_local_m(*frame.to_geodetic_deg(north_m, east_m))
-    assert back == pytest.approx((north_m, east_m), abs=1e-4)
-
-
 @given(frame=frames, azimuth_deg=st.floats(-180.0, 180.0), distance_m=st.floats(0.0, 150_000.0))
-def test_distance_and_direction_from_the_origin_are_those_of_the_geodesic(
+def test_distance_and_direction_from_the_origin_are_those_of_the_geodesic_there_and_back(
     frame: LocalFrame, azimuth_deg: float, distance_m: float
 ) -> None:
-    longitude, latitude, _ = GEOD.fwd(
-        frame.longitude_deg, frame.latitude_deg, azimuth_deg, distance_m
-    )
+    """And an offset by as much lies there, too."""
+    origin = frame.latitude_deg, frame.longitude_deg
+    longitude, latitude, _ = GEOD.fwd(*origin[::-1], azimuth_deg, distance_m)
     north_m, east_m = frame.to_local_m(latitude, longitude)
     expected = cmath.rect(distance_m, math.radians(azimuth_deg))
     assert abs(complex(north_m, east_m) - expected) < 1e-3
+    for there in (frame.to_geodetic_deg(north_m, east_m), offset_deg(*origin, north_m, east_m)):
+        assert frame.to_local_m(*there) == pytest.approx((north_m, east_m), abs=1e-3)
 
 
 @given(
@@ -77,15 +73,6 @@ def test_no_frame_of_a_map_has_its_north_farther_from_the_true_one_than_the_conv
     assume(apart_m > 1.0)
     away_rad = angle_between(mine.grid_north_rad(*mine.to_local_m(*other)), 0.0)
     assert away_rad <= frame.convergence_rad(north_m, east_m) * 1.02 + 3e-4
-
-
-@given(latitude=latitudes, longitude=longitudes, north_m=metres, east_m=metres)
-def test_an_offset_lies_where_a_frame_about_its_beginning_says(
-    latitude: float, longitude: float, north_m: float, east_m: float
-) -> None:
-    there = offset_deg(latitude, longitude, north_m, east_m)
-    frame = LocalFrame(latitude_deg=latitude, longitude_deg=longitude)
-    assert frame.to_local_m(*there) == pytest.approx((north_m, east_m), abs=1e-3)
 
 
 @given(st.integers(-1_800_000_000, 1_800_000_000), st.floats(-0.5, 0.5))

@@ -5,15 +5,16 @@ from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from planning import ARDUCOPTER, limits
+from planning import ARDUCOPTER, drawn_zones, limits
 
 from companion.objective import TERMS, Scene, Workspace, radar_table, rows_of, weights_of
 from companion.path.envelope import envelope_of
-from companion.path.subpath import Pose, Subpath
+from companion.path.subpath import Pose
+from companion.planner.procedure import hover_pose
 from companion.profiles import Weights
 from companion.world.columns import Surface
 from companion.world.radars import Radar
-from companion.world.zones import CircleZone, PolygonZone, Zone, near_cells, packed
+from companion.world.zones import PolygonZone, near_cells, packed
 
 FloatArray = NDArray[np.float64]
 
@@ -31,18 +32,15 @@ LIMITS = limits(
 
 
 def random_pose(rng: np.random.Generator) -> Pose:
-    """A place on a random subpath of four to six control points."""
-    points = int(rng.integers(4, 7))
-    ahead = np.linspace(0.0, 1_800.0, points)
-    control = np.stack([ahead, *rng.uniform(-400.0, 400.0, (2, points))], axis=-1)
-    control[:, 2] *= 0.2
-    turn = rng.uniform(-math.pi, math.pi)
-    c, s = math.cos(turn), math.sin(turn)
-    control = control @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    subpath = Subpath(control_nea_m=control)
-    share = rng.uniform(0.05, 0.95) * subpath.length_m
-    offset = np.append(rng.uniform(3_000.0, 4_000.0, 2), 500.0) - subpath.pose(share).position_nea_m
-    return Subpath(control_nea_m=control + offset).pose(share)
+    """In the middle of the map, in any bend and climb that is not too steep."""
+    heading, climb = rng.uniform(-math.pi, math.pi), rng.uniform(-0.2, 0.2)
+    tangent = np.array([math.cos(heading), math.sin(heading), climb]) / math.hypot(1.0, climb)
+    bend = rng.normal(0.0, 1.0 / 900.0, 3)
+    return Pose(
+        position_nea_m=np.append(rng.uniform(3_000.0, 4_000.0, 2), rng.uniform(400.0, 600.0)),
+        tangent_nea=tangent,
+        curvature_nea_1_m=bend - (bend @ tangent) * tangent,
+    )
 
 
 def random_scene(
@@ -58,12 +56,10 @@ def random_scene(
     is_final = bool(rng.random() < 0.3) if is_final is None else is_final
     start = random_pose(rng)
     if from_rest:
-        heading = rng.uniform(-math.pi, math.pi)
-        level = np.array([math.cos(heading), math.sin(heading), 0.0])
-        start = Pose(position_nea_m=start.position_nea_m, tangent_nea=level)
+        start = hover_pose(start.position_nea_m, rng.uniform(-math.pi, math.pi))
     north, east, _ = start.point_nea_m
     weights = rng.uniform(0.05, 1.0, len(fields(Weights))).tolist()
-    zones = random_zones(rng)
+    zones = drawn_zones(rng, int(rng.integers(0, 5)), 3_500.0, 1_500.0, 500.0, 0.3)
     polygons = tuple(zone for zone in zones if isinstance(zone, PolygonZone))
     near = near_cells(polygons, LIMITS.north_m, LIMITS.east_m, 75.0)
     drawn = Weights(**dict(zip(TERMS, weights, strict=False)))
@@ -117,26 +113,6 @@ def lattice(rng: np.random.Generator, cell_m: float, most_m: float) -> Surface:
         cell_m=cell_m,
         vertex_m=rng.uniform(0.0, most_m, (count, count + 3)),
     )
-
-
-def random_zones(rng: np.random.Generator) -> tuple[Zone, ...]:
-    """Circles and star-shaped polygons, to stay out of or inside of, in any order."""
-    zones: list[Zone] = []
-    for _ in range(rng.integers(0, 5)):
-        n, e = rng.uniform(2_000.0, 5_000.0, 2)
-        keep_in = bool(rng.random() < 0.3)
-        size = 4.0 if keep_in else 1.0
-        if rng.random() < 0.5:
-            zones.append(
-                CircleZone(name="c", north_m=n, east_m=e, radius_m=300.0 * size, keep_in=keep_in)
-            )
-            continue
-        turns = np.sort(rng.uniform(0.0, 2.0 * math.pi, rng.choice([3, 4, 5, 6, 7, 40])))
-        far = size * rng.uniform(50.0, 500.0, len(turns))
-        corners = zip(n + far * np.cos(turns), e + far * np.sin(turns), strict=True)
-        vertices = tuple((float(a), float(b)) for a, b in corners)
-        zones.append(PolygonZone(name="p", vertices_ne_m=vertices, keep_in=keep_in))
-    return tuple(zones)
 
 
 def cube(rng: np.random.Generator, scene: Scene, count: int) -> FloatArray:

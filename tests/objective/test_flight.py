@@ -1,7 +1,7 @@
 """Joins and costs of profile `flight` against scipy's splines and a scalar implementation."""
 
+import cmath
 import math
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,7 @@ from companion.path.subpath import Subpath
 from companion.profiles import Weights
 from companion.world.columns import Surface
 from companion.world.radars import Radar
-from companion.world.zones import ZoneTable, polygon_at
+from companion.world.zones import polygon_at
 
 seeds = st.integers(0, 10**6)
 
@@ -88,46 +88,38 @@ def azimuth_from_tangent(control: FloatArray, offset: FloatArray) -> float:
     return math.atan2(turned.imag, turned.real)
 
 
-@given(seed=seeds, points=st.sampled_from([5, 6]))
-def test_the_end_lies_within_its_circle_about_p_scan_and_free_points_in_their_ring(
-    seed: int, points: int
+@given(seed=seeds, points=st.sampled_from([5, 6]), is_final=st.booleans())
+def test_the_end_lies_within_its_circle_about_p_scan_or_at_the_target_and_free_points_in_their_ring(
+    seed: int, points: int, is_final: bool
 ) -> None:
     """From rest it leaves level in any direction, without a bend."""
     rng = np.random.default_rng(seed)
-    scene = random_scene(rng, points=points, is_final=False)
-    (low, high), x = scene.band_amsl_m, cube(rng, scene, 10)
+    scene = random_scene(rng, points=points, is_final=is_final)
+    start, (low, high) = scene.start[0], scene.band_amsl_m
+    if is_final:
+        scene = scene._replace(final_ne_m=(float(start[0] + 300.0), float(start[1] - 400.0)))
+    x = cube(rng, scene, 10)
     for each, control in zip(x, control_points(x, scene), strict=True):
         offset = control[-1, :2] - scene.scan_ne_m
-        away = float(np.hypot(*offset))
-        assert SHORTEST_END - 1e-9 <= away / scene.end_radius_m <= 1.0 + 1e-9
-        assert abs(azimuth_from_tangent(control, offset)) <= SPREAD_RAD + 1e-9
-        unit = min(1.1 * away, R_M)
-        for k in range(3, points - 1):
-            offset = control[k, :2] - control[0, :2]
-            assert SHORTEST_R * unit - 1e-6 <= np.hypot(*offset) <= unit + 1e-6
+        away, unit = float(np.hypot(*offset)), 500.0
+        if is_final:
+            assert control[-1, :2] == pytest.approx(scene.final_ne_m)
+            assert np.linalg.norm(control[1] - start) <= LONGEST_R2 * unit + 1e-6
+        else:
+            unit = min(1.1 * away, R_M)
+            assert SHORTEST_END - 1e-9 <= away / scene.end_radius_m <= 1.0 + 1e-9
             assert abs(azimuth_from_tangent(control, offset)) <= SPREAD_RAD + 1e-9
+        for free in control[3:-1, :2] - start[:2]:
+            assert SHORTEST_R * unit - 1e-6 <= np.hypot(*free) <= unit + 1e-6
+            assert abs(azimuth_from_tangent(control, free)) <= SPREAD_RAD + 1e-9
         assert low - 1e-9 <= control[3:, 2].min() <= control[3:, 2].max() <= high + 1e-9
         if scene.from_rest:
             curve = spline(control)
-            assert curve(0.0) == pytest.approx(scene.start[0])
+            assert curve(0.0) == pytest.approx(start)
             leaving = curve(0.0, 1) / np.linalg.norm(curve(0.0, 1))
             bearing = scene.guide_rad + (2.0 * each[3 * points - 9] - 1.0) * math.pi
             assert leaving == pytest.approx([math.cos(bearing), math.sin(bearing), 0.0], abs=1e-9)
             assert np.linalg.norm(curvature_1_m(curve, 0.0)) <= 1e-12
-
-
-@given(seed=seeds, points=st.sampled_from([5, 6]))
-def test_the_last_subpath_ends_at_the_target_and_is_no_larger_than_the_way_there(
-    seed: int, points: int
-) -> None:
-    rng = np.random.default_rng(seed)
-    scene = random_scene(rng, points=points, is_final=True)
-    start = scene.start[0]
-    scene = scene._replace(final_ne_m=(float(start[0] + 300.0), float(start[1] - 400.0)))
-    for control in control_points(cube(rng, scene, 10), scene):
-        assert control[-1, :2] == pytest.approx(scene.final_ne_m)
-        assert np.linalg.norm(control[1] - start) <= LONGEST_R2 * 500.0 + 1e-6
-        assert np.hypot(*(control[3:-1, :2] - start[:2]).T).max() <= 500.0 + 1e-6
 
 
 # --- every term, slowly
@@ -139,148 +131,109 @@ def terms(x: FloatArray, scene: Scene) -> dict[str, float]:
     return dict(zip(TERMS, scene.at.terms.tolist(), strict=True))
 
 
-def height_m(surface: Surface, north: float, east: float) -> float:
-    """Of a surface there: world/test_columns."""
-    return float(surface.altitude_m(np.array([north]), np.array([east]))[0])
+def height_m(surface: Surface, points: FloatArray) -> FloatArray:
+    """Of a surface below points: world/test_columns.  (..., 3) -> (...)."""
+    return surface.altitude_m(points[..., 0], points[..., 1])
 
 
-def gaps_m(zones: ZoneTable, north: float, east: float) -> list[float]:
-    """Signed distances to all zones; to polygons: world/test_zones."""
+def gaps_m(scene: Scene, points: FloatArray) -> FloatArray:
+    """Signed distances to all zones; to polygons: world/test_zones.  (K, 3) -> (K, zones)."""
     polygons = [
-        polygon_at(zones, k, north, east, math.inf, math.inf) for k in range(len(zones.polygons))
+        [polygon_at(scene.zones, k, n, e, math.inf, math.inf) for n, e, _ in points.tolist()]
+        for k in range(len(scene.zones.polygons))
     ]
-    return polygons + [
-        sign * (math.dist((north, east), middle) - radius)
-        for *middle, radius, sign in zones.circles.tolist()
+    circles = [
+        sign * (np.hypot(points[:, 0] - north, points[:, 1] - east) - radius)
+        for north, east, radius, sign in scene.zones.circles.tolist()
     ]
+    return np.array([*polygons, *circles]).reshape(-1, len(points)).T
+
+
+def over(values: FloatArray, least: float, most: float) -> FloatArray:
+    return np.asarray(np.maximum(values - most, 0.0) + np.maximum(least - values, 0.0))
 
 
 def expected(control: FloatArray, scene: Scene) -> dict[str, float]:
-    """The terms of one candidate, of those that are told twice."""
-    curve, count = spline(control), len(scene.at.flown_m) - 1
-    u = [j / count for j in range(count + 1)]
-    points = [curve(at) for at in u]
-    each = 10.0 / count
-    chords = [math.dist(a, b) for a, b in pairwise(points)]
-    per_metre = 100.0 / (2.4 * scene.scan_range_m)
-    low, high = scene.band_amsl_m
-    heights = [max(float(p[2]) - low, 0.0) for p in points[1:]]
+    """The terms of one candidate, from samples of scipy's curve."""
+    curve, count, it = spline(control), len(scene.at.flown_m) - 1, scene.motion
+    points, first, second = (curve(np.linspace(0.0, 1.0, count + 1), k) for k in range(3))
+    steps = np.diff(points, axis=0)
+    chords_m = np.linalg.norm(steps, axis=-1)
+    thirds = points[:-1, None] + np.array([[1 / 3], [2 / 3], [1.0]]) * steps[:, None]
+    thirds, (north, east, up) = thirds.reshape(-1, 3), points[1:].T
+    ground = np.hypot(first[:, 0], first[:, 1])
+    bend_1_m = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / ground**3
+    slope_rad = np.arctan2(first[:, 2], ground)[1:]
+    each, per_metre, (low, high) = 10.0 / count, 100.0 / (2.4 * R_M), scene.band_amsl_m
+
+    # a copter is slow in bends: v^2 bend = a, no slower than a quarter of V; a plane is not
+    turns_m_s = np.clip(np.sqrt(it.lateral_m_s2 / bend_1_m[1:]), 0.25 * it.speed_m_s, it.speed_m_s)
+    slowed_m = 0.0 if it.loiter_m else (chords_m * (it.speed_m_s / turns_m_s - 1.0)).sum()
+
+    crash_m = np.maximum(height_m(scene.surface, thirds) - thirds[:, 2], 0.0).sum() / 3.0
+    if not it.loiter_m:  # it circles: the surface knows
+        crash_m += 2.0 * dead_man_m(points, first, chords_m, scene)
+
+    radars = np.linalg.norm(points[1:, None] - scene.radars[:, :3], axis=-1)  # eq. 3
+    seen = 1.0 / (1.0 + (radars / scene.radars[:, 3]) ** 4)
+    seen = np.where(radars <= scene.radars[:, 3] + RADAR_MARGIN_M, seen, 0.0)
+
+    tight = bend_1_m[1:] * LIMITS.turn_radius_m
+    climb, dive = LIMITS.climb_angle_rad / scene.margin, LIMITS.dive_angle_rad / scene.margin
+    steering = 100.0 * np.clip(tight * scene.margin - 1.0, 0.0, 10.0).sum()
+    steering += 100.0 * over(slope_rad, -dive, climb).sum()
+    steering += 2.0 * (np.minimum(tight[count - round(count / 4) :], 1.0) ** 2).sum()
+    outside = over(up, low, high) + over(north, 1_500.0, 5_500.0) + over(east, 1_500.0, 5_500.0)
+    near = np.maximum(scene.clearance_m - gaps_m(scene, thirds), 0.0).sum() / 3.0
+    steering += 100.0 * (outside.sum() / (R_M / 20.0) + near / scene.clearance_m)
+    short_m = max(1.06 * scene.shortest_m - chords_m.sum(), 0.0)
     return {
-        "length": (sum(chords) + expected_slowed_m(curve, u, chords, scene)) * per_metre,
-        "height": 100.0 * sum(heights) / count / (high - low),
-        "guide": expected_guide(control, scene),
-        "crash": each * expected_crash(curve, u, points, chords, scene),
-        "radar": each * 30.0 * sum(expected_detection(p, scene) for p in points[1:]),
-        "constraints": each
-        * (expected_steering(curve, u[1:], scene) + expected_outside(points, scene))
-        + 1_000.0 * max(1.06 * scene.shortest_m - sum(chords), 0.0) / R_M,
-        "to_go": expected_to_go_m(control, scene) * per_metre,
+        "length": (chords_m.sum() + slowed_m) * per_metre,
+        "height": 100.0 * np.maximum(up - low, 0.0).mean() / (high - low),
+        "guide": 0.0 if scene.is_final else 20.0 / math.pi * off_guide_rad(control, scene),
+        "crash": 100.0 * each * crash_m / scene.safety_distance_m,
+        "radar": 30.0 * each * seen.sum(),
+        "constraints": each * steering + 1_000.0 * short_m / R_M,
+        "to_go": 0.0 if scene.is_final else to_go_m(control, scene) * per_metre,
     }
 
 
-def expected_guide(control: FloatArray, scene: Scene) -> float:
-    if scene.is_final:
-        return 0.0
+def dead_man_m(points: FloatArray, first: FloatArray, chords_m: FloatArray, scene: Scene) -> float:
+    """How deep stretches of every other sample are below what they must keep, halfway and at last.
+
+    v settling + v^2 / 2 a = what is left; from rest v^2 / 2 a = what was flown.
+    """
+    it, samples = scene.motion, np.arange(1, len(points), 2)
+    left = np.array([chords_m[j:].sum() for j in samples])
+    settles = it.braking_m_s2 * it.settling_s
+    speed = np.sqrt(settles**2 + 2.0 * it.braking_m_s2 * left) - settles
+    if scene.from_rest:
+        speed = np.minimum(speed, np.sqrt(2.0 * it.gaining_m_s2 * (chords_m.sum() - left)))
+    speed = np.minimum(speed, LIMITS.speed_m_s)
+    reach = speed * it.dead_man_s + speed**2 / 2.0 / LIMITS.acceleration_m_s2
+    tangent = first[samples] / np.linalg.norm(first[samples], axis=-1)[:, None]
+    tangent[:, 2] = np.minimum(tangent[:, 2], 0.0)  # no higher than level
+    ends = points[samples] + np.array([0.5, 1.0])[:, None, None] * reach[:, None] * tangent
+    return float(np.maximum(height_m(scene.contact, ends) - ends[..., 2], 0.0).sum())
+
+
+def off_guide_rad(control: FloatArray, scene: Scene) -> float:
     offset = complex(*(control[-1, :2] - scene.scan_ne_m))
-    turned = offset / complex(math.cos(scene.guide_rad), math.sin(scene.guide_rad))
-    return 100.0 * abs(math.atan2(turned.imag, turned.real)) / math.pi * 0.2
+    return abs(cmath.phase(offset * cmath.exp(-1j * scene.guide_rad)))
 
 
-def expected_to_go_m(control: FloatArray, scene: Scene) -> float:
-    if scene.is_final:
-        return 0.0
-    heading = math.atan2(*(control[-1, :2] - control[-2, :2])[::-1])
-    ahead = LIMITS.turn_radius_m
-    there = control[-1, 0] + ahead * math.cos(heading), control[-1, 1] + ahead * math.sin(heading)
-    low, high = scene.band_amsl_m
-    altitude, needed = control[-1, 2], height_m(scene.needed, control[-1, 0], control[-1, 1])
-    above, asked = (max((z - low) / (high - low), 0.0) for z in (altitude, needed))
+def to_go_m(control: FloatArray, scene: Scene) -> float:
+    """The cheapest way from a turn ahead, or from the end; and what is higher or lower there."""
+    end, (low, high) = control[-1], scene.band_amsl_m
+    ahead = (end - control[-2]) * [1.0, 1.0, 0.0]
+    there = end + LIMITS.turn_radius_m * ahead / np.linalg.norm(ahead)
+    needed = float(height_m(scene.needed, end))
+    above, asked = (max((z - low) / (high - low), 0.0) for z in (end[2], needed))
     down = scene.descent_m * max(above**2 - asked**2, 0.0)
-    up = max(needed - altitude, 0.0) / math.tan(LIMITS.climb_angle_rad)
-    here_m = height_m(scene.to_go, control[-1, 0], control[-1, 1])
-    short = scene.end_radius_m - math.dist(control[-1, :2], scene.scan_ne_m)
-    return float(max(ahead + height_m(scene.to_go, *there), here_m) + down + up + 0.25 * short)
-
-
-def expected_crash(
-    curve: Any, u: list[float], points: list[FloatArray], chords: list[float], scene: Scene
-) -> float:
-    total = 0.0
-    for a, b in pairwise(points):
-        for share in (1 / 3, 2 / 3, 1.0):
-            n, e, z = a + share * (b - a)
-            total += max(height_m(scene.surface, n, e) - z, 0.0) / 3.0
-    for j in range(1, len(points), 2):
-        if scene.motion.loiter_m:
-            break  # it circles: the surface knows
-        left, flown = sum(chords[j:]), sum(chords[:j])
-        it = scene.motion  # v settling + v^2 / 2 a = what is left
-        settles = it.braking_m_s2 * it.settling_s
-        speed = math.sqrt(settles**2 + 2.0 * it.braking_m_s2 * left) - settles
-        rising = math.sqrt(2.0 * it.gaining_m_s2 * flown) if scene.from_rest else math.inf
-        speed = min(LIMITS.speed_m_s, speed, rising)
-        reach = speed * scene.motion.dead_man_s + speed**2 / 2.0 / LIMITS.acceleration_m_s2
-        tangent = curve(u[j], 1) / np.linalg.norm(curve(u[j], 1))
-        tangent[2] = min(tangent[2], 0.0)  # no higher than level
-        for share in (0.5, 1.0):
-            n, e, z = points[j] + share * reach * tangent
-            total += 2.0 * max(height_m(scene.contact, n, e) - z, 0.0)
-    return 100.0 * total / scene.safety_distance_m
-
-
-def expected_detection(point: FloatArray, scene: Scene) -> float:
-    """Eq. 3."""
-    total = 0.0
-    for *centre, range_m, _ in scene.radars.tolist():
-        d = math.dist(point, centre)
-        if d <= range_m + RADAR_MARGIN_M:
-            total += range_m**4 / (range_m**4 + d**4)
-    return total
-
-
-def expected_steering(curve: Any, u: list[float], scene: Scene) -> float:
-    climb, dive = (
-        angle / scene.margin for angle in (LIMITS.climb_angle_rad, LIMITS.dive_angle_rad)
-    )
-    total = 0.0
-    for k, at in enumerate(u):
-        v, a = curve(at, 1), curve(at, 2)
-        ground = math.hypot(v[0], v[1])
-        bend = abs(v[0] * a[1] - v[1] * a[0]) / ground**3 * LIMITS.turn_radius_m
-        total += 100.0 * min(max(bend * scene.margin - 1.0, 0.0), 10.0)
-        slope = math.atan(v[2] / ground)
-        total += 100.0 * (max(slope - climb, 0.0) + max(-slope - dive, 0.0))
-        if k >= len(u) - round(len(u) / 4):
-            total += 2.0 * min(bend, 1.0) ** 2
-    return total
-
-
-def expected_slowed_m(curve: Any, u: list[float], chords: list[float], scene: Scene) -> float:
-    """As a copter is slow in bends: v^2 bend = a, no slower than a quarter of V."""
-    motion, lost_m = scene.motion, 0.0
-    if motion.loiter_m > 0.0:
-        return 0.0  # a plane flies its circles at V
-    for at, chord_m in zip(u[1:], chords, strict=True):
-        v, a = curve(at, 1), curve(at, 2)
-        bend = abs(v[0] * a[1] - v[1] * a[0]) / math.hypot(v[0], v[1]) ** 3
-        speed = math.sqrt(motion.lateral_m_s2 / bend)
-        speed = min(max(speed, 0.25 * motion.speed_m_s), motion.speed_m_s)
-        lost_m += chord_m * motion.speed_m_s / speed - chord_m
-    return lost_m
-
-
-def expected_outside(points: list[FloatArray], scene: Scene) -> float:
-    low, high = scene.band_amsl_m
-    beyond = near = 0.0
-    for n, e, z in points[1:]:
-        beyond += max(low - z, 0.0, z - high)
-        beyond += max(1_500.0 - n, 0.0, n - 5_500.0) + max(1_500.0 - e, 0.0, e - 5_500.0)
-    for a, b in pairwise(points):
-        for share in (1 / 3, 2 / 3, 1.0):
-            n, e, _ = a + share * (b - a)
-            gaps = gaps_m(scene.zones, n, e)
-            near += sum(max(scene.clearance_m - gap, 0.0) for gap in gaps) / 3.0
-    return 100.0 * (beyond / (R_M / 20.0) + near / scene.clearance_m)
+    up = max(needed - end[2], 0.0) / math.tan(LIMITS.climb_angle_rad)
+    short = scene.end_radius_m - math.dist(end[:2], scene.scan_ne_m)
+    on_m = LIMITS.turn_radius_m + height_m(scene.to_go, there), height_m(scene.to_go, end)
+    return float(max(on_m) + down + up + 0.25 * short)
 
 
 @example(seed=44_200)

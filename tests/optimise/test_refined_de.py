@@ -128,30 +128,6 @@ def test_the_better_survives_and_the_trial_if_equal_and_beaten_parents_are_kept(
     assert (state.costs[state.order] == np.sort(state.costs)).all()
 
 
-def test_the_memory_takes_the_lehmer_mean_of_1_minus_a_and_the_mean_of_cr_weighted_by_gains() -> (
-    None
-):
-    state = started(Settings(population=7, smallest=7, memory=3))
-    n = ask(state)
-    pull, cr, costs = state.drawn[:n, 0].copy(), state.drawn[:n, 1].copy(), state.costs[:n].copy()
-    gain = np.array([0.3, 0.0, 0.1, -0.2, 0.05, -0.1, 0.0])
-    state.trial_costs[:n] = costs - gain
-    tell(state, n)
-    won = costs - (costs - gain)  # as rounded
-    won[gain <= 0.0] = 0.0
-    lehmer = (won * pull**2).sum() / (won * pull).sum()
-    assert state.memory[0] == pytest.approx([lehmer, (won * cr).sum() / won.sum()], rel=1e-12)
-    assert (state.memory[1:] == [0.5, 1.0]).all()
-    ask(state)
-    state.trial_costs[:n] = math.inf
-    tell(state, n)
-    assert (state.memory[1:] == [0.5, 1.0]).all()  # nothing succeeded, nothing is learnt
-    ask(state)
-    state.trial_costs[:n] = state.costs - 1.0
-    tell(state, n)
-    assert (state.memory[1] != [0.5, 1.0]).all()
-
-
 def test_the_population_begins_as_large_as_allowed_falls_linearly_and_its_worst_go() -> None:
     for evaluations, expected in ((10, 20), (600, 27), (3_000, 60), (10**6, 150)):
         assert Settings().members(evaluations) == expected

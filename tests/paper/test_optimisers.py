@@ -135,7 +135,7 @@ def test_every_particle_moves_by_the_equations_of_clerc_and_kennedy(seed: int) -
                 v[i, j] = 0.0
 
 
-# --- the genetic algorithm: its operators by their distributions
+# --- the genetic algorithm: who is a parent, and who stays
 
 
 def told(x: FloatArray, costs: FloatArray, **operators: float) -> Genetic:
@@ -148,41 +148,6 @@ def told(x: FloatArray, costs: FloatArray, **operators: float) -> Genetic:
     assert (ga.ask() == x).all()
     ga.tell(costs)
     return ga
-
-
-def test_mutations_are_of_one_variable_in_d_with_the_polynomial_distribution() -> None:
-    d = 5
-    ga = told(np.full((MANY, d), 0.5), np.zeros(MANY), crossover=0.0)
-    step = ga.ask() - 0.5
-    # 200,000 draws of 1 / 5: 5 standard deviations are 0.0045
-    assert (step != 0.0).mean() == pytest.approx(1 / d, abs=0.0045)
-    step = np.sort(step[step != 0.0])
-    assert np.abs(step).max() < 0.5  # nothing was clipped
-    # density (n + 1) / 2 (1 - |s|)^n, n = 20: the distribution function by hand
-    half = 0.5 * (1.0 - np.abs(step)) ** 21.0
-    assert_distributed(np.where(step < 0.0, half, 1.0 - half))
-
-
-def test_crossed_children_have_the_binary_distribution_about_the_middle_of_their_parents() -> None:
-    x = np.tile([[0.4], [0.6]], (MANY // 2, 1))
-    # mutations of no size; parents in both halves are drawn at random
-    children = told(x, np.zeros(MANY), crossover=1.0, mutation_index=1e12).ask()[:, 0]
-    one, two = np.split(children, 2)
-    assert (one + two)[np.abs(one - two) > 1e-9] == pytest.approx(1.0, abs=1e-9)
-    spread = np.abs(one - two) / 0.2  # of pairs whose parents differ
-    different = np.abs(one + two - 1.0) < 1e-6
-    beta = np.sort(spread[different & (np.abs(spread - 1.0) > 1e-9)])
-    assert len(beta) > 3_000
-    # density 0.5 (n + 1) beta^n below 1, 0.5 (n + 1) beta^-(n + 2) above, n = 15
-    assert_distributed(np.where(beta < 1.0, 0.5 * beta**16.0, 1.0 - 0.5 * beta**-16.0))
-    # of the pairs that differ, half the variables are crossed
-    assert len(beta) / different.sum() == pytest.approx(0.5, abs=0.03)
-
-
-def assert_distributed(expected: FloatArray) -> None:
-    """Kolmogorov's test at 0.1 %; expected: the distribution function at the sorted draws."""
-    empirical = (np.arange(len(expected)) + 0.5) / len(expected)
-    assert np.abs(expected - empirical).max() < 2.0 / np.sqrt(len(expected))
 
 
 def test_a_parent_is_the_better_of_two() -> None:

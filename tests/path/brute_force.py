@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import planning
-from planning import ARDUCOPTER
-from planning import spline as curve
+from planning import ARDUCOPTER, drawn_zones, spline
 from scipy.optimize import minimize, minimize_scalar
 
 from companion.geodesy import FloatArray
@@ -24,16 +23,16 @@ from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.radars import Radar
 from companion.world.simulated import true_map
-from companion.world.terrain import PeakTerrain
-from companion.world.zones import CircleZone, PolygonZone, Zone
+from companion.world.zones import Zone
 
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
+    """A curve and what it is flown in."""
+
     control_nea_m: FloatArray
     from_rest: bool
     known: KnownMap
-    peaks: PeakTerrain | None
     task: Task
 
     def certificate(self) -> Certificate:
@@ -41,10 +40,9 @@ class Case:
         return certify(subpath, self.surroundings(), from_rest=self.from_rest)
 
     def surroundings(self) -> Surroundings:
-        centre = self.control_nea_m.mean(axis=0)[:2]
-        far = np.linalg.norm(self.control_nea_m[:, :2] - centre, axis=-1).max()
-        place = float(centre[0]), float(centre[1])
-        return self.task.surroundings(self.known, place, float(far))
+        north, east = self.control_nea_m.mean(axis=0)[:2].tolist()
+        far = np.hypot(*(self.control_nea_m[:, :2] - (north, east)).T).max()
+        return self.task.surroundings(self.known, (north, east), float(far))
 
 
 class Scale(NamedTuple):
@@ -74,7 +72,7 @@ def random_case(rng: np.random.Generator) -> Case:
     """A curve over random terrain, near what is just safe."""
     scale = SCALES[rng.integers(len(SCALES))]
     size = scale.cell_m * scale.cells
-    known, peaks = _terrain(rng, scale, size)
+    known = _terrain(rng, scale, size)
     if rng.random() < 0.4:
         known.upper_m[rng.random(known.upper_m.shape) < 0.003] = np.inf
     limits = Limits(
@@ -94,97 +92,62 @@ def random_case(rng: np.random.Generator) -> Case:
         overrun_m=float(rng.choice(scale.overruns_m)),
         loiter_radius_m=scale.distance_m * rng.uniform(0.3, 1.5) if rng.random() < 0.2 else 0.0,
     )
+    count = int(rng.choice([0, 0, 1, 2]))
+    zones = drawn_zones(rng, count, 0.5 * size, 0.5 * size, 0.15 * size, 0.3)
+    settings = PlannerSettings(
+        scan_range_m=size, safety_distance_m=scale.distance_m, planning_time_s=1.0
+    )
+    radars = tuple(
+        Radar(name="r", centre_nea_m=(*rng.uniform(0, size, 2), 0.0), range_m=0.15 * size)
+        for _ in range(rng.integers(0, 3))
+    )
+    handling = replace(ARDUCOPTER, settling_s=0.4)
     return Case(
         control_nea_m=_control(rng, size, scale.distance_m + scale.error_m, known),
         from_rest=bool(rng.random() < 0.3),
         known=known,
-        peaks=peaks,
-        task=Task(
-            limits=limits,
-            settings=PlannerSettings(
-                scan_range_m=size, safety_distance_m=scale.distance_m, planning_time_s=1.0
-            ),
-            handling=replace(ARDUCOPTER, settling_s=0.4),
-            radars=tuple(
-                Radar(name="r", centre_nea_m=(*rng.uniform(0, size, 2), 0.0), range_m=0.15 * size)
-                for _ in range(rng.integers(0, 3))
-            ),
-            zones=_zones(rng, size),
-        ),
+        task=Task(limits=limits, settings=settings, handling=handling, radars=radars, zones=zones),
     )
 
 
-def _terrain(
-    rng: np.random.Generator, scale: Scale, size: float
-) -> tuple[KnownMap, PeakTerrain | None]:
+def _terrain(rng: np.random.Generator, scale: Scale, size: float) -> KnownMap:
+    """Peaks, pillars on rough ground, or a rough slope."""
     like = empty_map(scale.cell_m, (0.0, size), (0.0, size))
-    registration = float(rng.choice([0.0, 0.0, 0.1, 0.35])) * scale.cell_m
     kind = rng.integers(3)
     if kind == 0:
         low, high = (0.0, 0.0, 0.3, 0.08, 0.08), (1.0, 1.0, 1.0, 0.3, 0.3)
         drawn = rng.uniform(low, high, (int(rng.integers(1, 7)), 5))
-        peaks = planning.hills(*(drawn * [size, size, scale.relief_m, size, size]).tolist())
-        return true_map(peaks, like), peaks
+        return true_map(
+            planning.hills(*(drawn * [size, size, scale.relief_m, size, size]).tolist()), like
+        )
     heights = rng.uniform(0.0, 0.15 * scale.relief_m, like.upper_m.shape)
-    if kind == 1:  # pillars
+    if kind == 1:
         heights += scale.relief_m * (rng.random(heights.shape) < 0.003)
-    else:  # a rough slope
+    else:
         heights += np.linspace(0.0, rng.uniform(0.0, scale.relief_m), scale.cells)[:, None]
-    return replace(like, upper_m=heights, seen=~like.seen, registration_m=registration), None
+    registration_m = float(rng.choice([0.0, 0.0, 0.1, 0.35])) * scale.cell_m
+    return replace(like, upper_m=heights, seen=~like.seen, registration_m=registration_m)
 
 
 def _control(
     rng: np.random.Generator, size: float, clearance_m: float, known: KnownMap
 ) -> FloatArray:
+    """Some way across the middle of the map, about the clearance above what is below it."""
     points = int(rng.integers(4, 8))
-    leg = rng.uniform(0.25, 0.55) * size / (points - 1)
-    heading, climb = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(-0.1, 0.1)
-    control = [np.zeros(3)]
-    for _ in range(points - 1):
-        heading, climb = heading + rng.normal(0.0, 0.3), 0.6 * climb + rng.normal(0.0, 0.05)
-        step = leg * rng.uniform(0.6, 1.4)
-        control.append(
-            control[-1] + step * np.array([np.cos(heading), np.sin(heading), np.tan(climb)])
-        )
-    result = np.array(control)
+    heading = rng.uniform(0.0, 2.0 * np.pi) + np.cumsum(rng.normal(0.0, 0.3, points - 1))
+    climb = rng.uniform(-0.1, 0.1) * 0.6 ** np.arange(points - 1) + rng.normal(0, 0.05, points - 1)
+    leg = rng.uniform(0.25, 0.55) * size / (points - 1) * rng.uniform(0.6, 1.4, points - 1)
+    steps = leg[:, None] * np.stack([np.cos(heading), np.sin(heading), np.tan(climb)], axis=-1)
+    result = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
     result += np.array([*rng.uniform(0.46 * size, 0.54 * size, 2), 0.0]) - result.mean(axis=0)
-    track = curve(result)(np.linspace(0.0, 1.0, 60))
+    track = spline(result)(np.linspace(0.0, 1.0, 60))
     cells = np.clip((track[:, :2] / known.cell_m).astype(int), 0, len(known.upper_m) - 1)
-    under = known.upper_m[cells[:, 0], cells[:, 1]]
-    above = (track[:, 2] - np.where(np.isfinite(under), under, -np.inf)).min()
-    if not np.isfinite(above):
-        above = 0.0
-    result[:, 2] += clearance_m * rng.uniform(0.9, 1.9) - above
+    under = known.upper_m[tuple(cells.T)]
+    above = (track[:, 2] - under)[np.isfinite(under)].min(initial=np.inf)
+    result[:, 2] += clearance_m * rng.uniform(0.9, 1.9) - (above if np.isfinite(above) else 0.0)
     if rng.random() < 0.05:
         result[1] = result[0]
     return result
-
-
-def _zones(rng: np.random.Generator, size: float) -> tuple[Zone, ...]:
-    """Zones to stay out of, and large ones to stay inside of."""
-    zones: list[Zone] = []
-    for _ in range(rng.integers(0, 3)):
-        keep_in = bool(rng.random() < 0.4)
-        n, e = rng.uniform(0.4 * size, 0.6 * size, 2) if keep_in else rng.uniform(0.0, size, 2)
-        radius = size * (rng.uniform(0.2, 0.5) if keep_in else 0.05)
-        if rng.random() < 0.5:
-            zones.append(
-                CircleZone(name="c", north_m=n, east_m=e, radius_m=radius, keep_in=keep_in)
-            )
-        elif keep_in or rng.random() < 0.3:
-            turn = np.linspace(0.0, 2.0 * np.pi, int(rng.integers(3, 60)), endpoint=False)
-            far = radius * rng.uniform(0.9, 1.1, len(turn))
-            corners = np.stack([n + far * np.cos(turn), e + far * np.sin(turn)], axis=-1)
-            zones.append(_polygon(corners, keep_in))
-        else:
-            corners = rng.uniform(-0.08 * size, 0.08 * size, (rng.integers(3, 6), 2))
-            zones.append(_polygon(corners + np.array([n, e]), keep_in))
-    return tuple(zones)
-
-
-def _polygon(corners: FloatArray, keep_in: bool) -> PolygonZone:
-    vertices = tuple((a, b) for a, b in corners.tolist())
-    return PolygonZone(name="p", vertices_ne_m=vertices, keep_in=keep_in)
 
 
 def column_distance_m(
@@ -194,12 +157,9 @@ def column_distance_m(
 
     within_m: columns farther than this need not count.
     """
-    n, e, _ = points_nea_m.T
-    north = known.north_min_m + known.upper_m.shape[0] * known.cell_m
-    east = known.east_min_m + known.upper_m.shape[1] * known.cell_m
-    edge = np.minimum(
-        np.minimum(n - known.north_min_m, north - n), np.minimum(e - known.east_min_m, east - e)
-    )
+    low = np.array([known.north_min_m, known.east_min_m])
+    inside = points_nea_m[:, :2] - low
+    edge = np.minimum(inside, np.array(known.shape) * known.cell_m - inside).min(axis=1)
     edge = np.maximum(edge - known.registration_m, 0.0)
     return np.minimum(planning.column_distance_m(known, points_nea_m, within_m), edge)
 
@@ -221,33 +181,7 @@ def terrain_m(case: Case, points_nea_m: FloatArray, within_m: float = np.inf) ->
     return far.reshape(points.shape[:2]).min(axis=1)
 
 
-def surface_distance_m(
-    terrain: PeakTerrain, point_nea_m: FloatArray, near_m: float, around_m: float = 0.0
-) -> float:
-    """Distance of one point from the true surface, 0 below it: search and scipy's refinement.
-
-    around_m: of the level disc of this radius about the point, in which a plane may circle.
-    """
-    n, e, z = (float(value) for value in point_nea_m)
-
-    def far_m(north: FloatArray, east: FloatArray) -> FloatArray:
-        aside = np.maximum(np.hypot(north - n, east - e) - around_m, 0.0)
-        return np.hypot(aside, np.maximum(z - terrain.height_m(north, east), 0.0))
-
-    steps = np.linspace(-near_m - around_m, near_m + around_m, 41)
-    far = far_m((n + steps)[:, None], (e + steps)[None, :])
-    i, j = np.unravel_index(int(far.argmin()), far.shape)
-    best = minimize(
-        lambda at: float(far_m(at[:1], at[1:])[0]),
-        np.array([n + steps[i], e + steps[j]]),
-        method="Nelder-Mead",
-        options={"xatol": 1e-4, "fatol": 1e-4, "maxfev": 150},
-    )
-    return float(min(best.fun, far.min()))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Truth:
+class Truth(NamedTuple):
     """What a curve comes to: minima and maxima that were met, so never beyond the real ones."""
 
     clearance_m: float
@@ -262,62 +196,58 @@ class Truth:
     radar_m: float
     length_m: float
     detection: float
-    nearest_nea_m: FloatArray
-    """Where the clearance is least."""
 
 
-def _least(of: Callable[..., FloatArray], u: FloatArray) -> tuple[float, float]:
-    """Least value over 0 <= u <= 1 and where: samples, then refined near the three lowest."""
+def _least(of: Callable[..., FloatArray], u: FloatArray) -> float:
+    """Least value over 0 <= u <= 1: samples, then refined near the three lowest."""
     values = of(u)
-    best, where = float(values.min()), float(u[values.argmin()])
     inner = np.pad(values, 1, constant_values=np.inf)
     dips = np.nonzero((inner[1:-1] <= inner[:-2]) & (inner[1:-1] <= inner[2:]))[0]
+    least = [float(values.min())]
     for k in dips[np.argsort(values[dips])][:3]:
-        bounds = float(u[max(k - 1, 0)]), float(u[min(k + 1, len(u) - 1)])
         found = minimize_scalar(
             lambda at: float(of(np.array([at]), 2.0 * float(values[k]))[0]),  # noqa: B023
-            bounds=bounds,
+            bounds=(float(u[max(k - 1, 0)]), float(u[min(k + 1, len(u) - 1)])),
             method="bounded",
             options={"xatol": 1e-7, "maxiter": 30},
         )
-        if found.fun < best:
-            best, where = float(found.fun), float(found.x)
-    return best, where
+        least.append(float(found.fun))
+    return min(least)
 
 
 def truth(case: Case, samples: int = 200) -> Truth:
     """Everything about a curve, by search; distances up to four times the clearance."""
-    spline, far_m = curve(case.control_nea_m), 4.0 * case.task.required_clearance_m
-    u = np.linspace(0.0, 1.0, samples + 1)
-    clearance, where = _least(lambda at, far=far_m: terrain_m(case, spline(at), far), u)
+    curve, far_m = spline(case.control_nea_m), 4.0 * case.task.required_clearance_m
+    limits, u = case.task.limits, np.linspace(0.0, 1.0, samples + 1)
+    clearance = _least(lambda at, far=far_m: terrain_m(case, curve(at), far), u)
     keep_out = np.inf
     for zone in case.task.zones:
-        gap_m, _ = _least(lambda at, _=0.0, z=zone: zones_m((z,), spline(at)), u)  # type: ignore[misc]
+        gap_m = _least(lambda at, _=0.0, z=zone: zones_m((z,), curve(at)), u)  # type: ignore[misc]
         keep_out = min(keep_out, gap_m)
-    keep_out -= case.task.limits.loiter_radius_m
+    keep_out -= limits.loiter_radius_m
     fine = np.linspace(0.0, 1.0, 3_001)
-    points = spline(fine)
+    points = curve(fine)
     ends = np.logspace(-9.0, -4.0, 20)
     close = np.concatenate([fine, ends, 1.0 - ends])
-    first, second = spline(close, 1), spline(close, 2)
+    first, second = curve(close, 1), curve(close, 2)
     speed = np.hypot(first[:, 0], first[:, 1])
     moving = speed > 1e-7 * speed.max()
     cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
     slope = first[moving, 2] / speed[moving]
     lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=-1))])
     n, e, z = points.T
-    (south_m, north_m), (west_m, east_m) = case.task.limits.north_m, case.task.limits.east_m
+    (south_m, north_m), (west_m, east_m) = limits.north_m, limits.east_m
     off = np.concatenate([south_m - n, n - north_m, west_m - e, e - east_m])
     inside = np.zeros(len(points), dtype=bool)
     detection = 0.0
     for radar in case.task.radars:
-        ratio = radar.distance_m(points) / radar.range_m
+        ratio = np.linalg.norm(points - radar.centre_nea_m, axis=-1) / radar.range_m
         inside |= ratio <= 1.0
         detection = max(detection, float(np.where(ratio <= 1, 1 / (1 + ratio**4), 0.0).max()))
     both = 0.5 * (inside[1:].astype(float) + inside[:-1])
     dead_man = min(clearance, keep_out)
-    if case.task.limits.hovers:
-        dead_man = _dead_man(case, spline, fine, lengths)
+    if limits.hovers:
+        dead_man = _dead_man(case, curve, fine, lengths)
     return Truth(
         clearance_m=clearance,
         keep_out_m=keep_out,
@@ -331,7 +261,6 @@ def truth(case: Case, samples: int = 200) -> Truth:
         radar_m=float((both * np.diff(lengths)).sum()),
         length_m=float(lengths[-1]),
         detection=detection,
-        nearest_nea_m=spline(where),
     )
 
 
@@ -356,7 +285,6 @@ def violations(
         control_nea_m=control_nea_m,
         from_rest=from_rest,
         known=known,
-        peaks=None,
         task=replace(task, radars=()),
     )
     real = truth(case, samples=400)

@@ -56,22 +56,18 @@ def test_the_pose_is_where_the_curve_is_after_that_length_with_its_tangent_and_c
     assert np.linalg.norm(curve(u) - pose.position_nea_m) <= 1e-6 * subpath.length_m
     longer = [subpath.is_longer_than(k * subpath.length_m) for k in (share, 1 - 1e-6, 1 + 1e-6, 2)]
     assert longer == [True, True, False, False]
+    for beyond_m in (0.0, 1.0, 1e5):  # it is clamped to the ends
+        ends = subpath.pose(-beyond_m), subpath.pose(subpath.length_m + beyond_m)
+        for end, at in zip(ends, (0.0, 1.0), strict=True):
+            ahead = curve(at, 1) / np.linalg.norm(curve(at, 1))
+            assert end.position_nea_m == pytest.approx(curve(at))
+            assert end.tangent_nea == pytest.approx(ahead)
     first, second = (curve(u, order) for order in (1, 2))
     assert pose.tangent_nea == pytest.approx(first / np.linalg.norm(first), abs=1e-9)
     assert pose.curvature_nea_1_m @ pose.tangent_nea == pytest.approx(0.0, abs=1e-12)
     bend = np.cross(pose.tangent_nea, pose.curvature_nea_1_m)
     expected = np.cross(first, second) / np.linalg.norm(first) ** 3
     assert np.linalg.norm(bend - expected) <= 1e-6 * np.linalg.norm(expected) + 1e-12
-
-
-@given(seed=seeds, points=sizes, beyond=st.floats(0.0, 1e5))
-def test_the_pose_is_clamped_to_the_ends(seed: int, points: int, beyond: float) -> None:
-    subpath = a_subpath(seed, points)
-    control, past = subpath.control_nea_m, subpath.pose(subpath.length_m + beyond)
-    assert subpath.pose(-beyond).position_nea_m == pytest.approx(control[0])
-    assert past.position_nea_m == pytest.approx(control[-1])
-    last_leg = control[-1] - control[-2]
-    assert past.tangent_nea == pytest.approx(last_leg / np.linalg.norm(last_leg))
 
 
 @pytest.mark.parametrize(("doubled", "east"), [((0, 0, 1, 2), 0.6), ((0, 1, 2, 2), -0.6)])

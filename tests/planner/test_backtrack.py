@@ -1,3 +1,5 @@
+"""The way back is the way flown, proven again, and slow enough for its stops."""
+
 import math
 from dataclasses import replace
 from itertools import pairwise, zip_longest
@@ -35,19 +37,13 @@ def flown(flight: OfflineFlight) -> tuple[FlownSegment, ...]:
     )
 
 
-@pytest.fixture(scope="module")
-def back(flight: OfflineFlight) -> Backtrack:
-    """As the planner answers it."""
-    end = flight.legs[-1].subpath.pose(1e9).point_nea_m
-    outcome = plan(ask(TASK, flight.known, end, plan_id=77, flown=flown(flight)))
-    assert isinstance(outcome, Backtrack)
-    return outcome
-
-
-def test_it_leads_back_to_the_start_along_the_same_curve(
-    back: Backtrack, flight: OfflineFlight
+def test_it_leads_back_to_the_start_along_the_same_curve_in_safe_parts(
+    flight: OfflineFlight,
 ) -> None:
-    """Every part of it is safe, also for a vehicle that dies at full speed."""
+    """Also for a vehicle that dies at full speed."""
+    end = flight.legs[-1].subpath.pose(1e9).point_nea_m
+    back = plan(ask(TASK, flight.known, end, plan_id=77, flown=flown(flight)))
+    assert isinstance(back, Backtrack)
     steep = max(TASK.limits.climb_angle_rad, TASK.limits.dive_angle_rad)
     both = replace(TASK, limits=replace(TASK.limits, climb_angle_rad=steep, dive_angle_rad=steep))
     for subpath in back.subpaths:
@@ -82,51 +78,35 @@ def test_a_new_zone_on_the_way_ends_it_before_that(flight: OfflineFlight) -> Non
         assert zone.distance_m(points[:, 0], points[:, 1]).min() >= TASK.required_clearance_m
 
 
-def test_a_part_of_a_leg_and_a_corner_and_a_gap_are_joined() -> None:
-    def line(*ends: tuple[float, float, float]) -> np.ndarray:
-        return np.linspace(*ends, 5)
-
-    first = line((1_000.0, 1_000.0, 500.0), (2_000.0, 1_000.0, 500.0))
-    second = line((1_700.0, 1_000.02, 500.0), (1_700.0, 2_000.0, 500.0))  # about where it stopped
-    third = line((1_700.0, 1_420.0, 500.0), (1_000.0, 1_420.0, 500.0))  # it was held 20 m aside
-    parts = (
-        FlownSegment(control_nea_m=first, from_m=100.0, until_m=700.0),
-        FlownSegment(control_nea_m=second, from_m=0.0, until_m=400.0),
-        FlownSegment(control_nea_m=third, from_m=0.0, until_m=300.0),
-    )
-    back = backtrack(parts, TASK, TRUTH)
+@settings(max_examples=15)
+@given(seed=st.integers(0, 10_000), tick_s=st.sampled_from([0.05, 0.1, 0.2]))
+def test_along_straight_parts_with_corners_and_gaps_it_comes_to_no_end_faster_than_it_can_stop(
+    seed: int, tick_s: float
+) -> None:
+    """Parts of 8 to 120 m at up to 15 m/s; between some a corner, or it was held 20 m aside."""
+    rng, here, bearing_rad = np.random.default_rng(seed), np.array([1_500.0, 1_500.0, 500.0]), 0.3
+    parts, corners = list[FlownSegment](), list[np.ndarray]()
+    for _ in range(8):
+        bearing_rad += rng.choice([0.0, 0.0, 1.5])
+        ahead = np.array([math.cos(bearing_rad), math.sin(bearing_rad), 0.0])
+        here = here + rng.choice([0.0, 0.0, 20.0]) * ahead[[1, 0, 2]]
+        length_m, pieces = rng.uniform(8.0, 120.0), int(rng.integers(1, 5))
+        begin_m, beyond_m = rng.choice([0.0, 30.0], 2)  # of what it was on, this was flown
+        control = here + np.linspace(-begin_m, length_m + beyond_m, pieces + 3)[:, None] * ahead
+        flown_m = {"from_m": begin_m, "until_m": begin_m + length_m}
+        speed_m_s = rng.choice([None, 6.0])
+        parts.append(FlownSegment(control_nea_m=control, speed_m_s=speed_m_s, **flown_m))
+        corners += [here, here + length_m * ahead]
+        here = corners[-1]
+    back = backtrack(tuple(parts), TASK, TRUTH)
     assert back.reaches_start
-    ends = [subpath.control_nea_m[-1].tolist() for subpath in back.subpaths]
-    corners = [(1_700.0, 1_420.0), (1_700.0, 1_400.0), (1_700.0, 1_000.0), (1_100.0, 1_000.0)]
-    assert back.subpaths[0].control_nea_m[0] == pytest.approx([1_400.0, 1_420.0, 500.0], abs=0.5)
+    ends = [back.subpaths[0].control_nea_m[0], *(each.control_nea_m[-1] for each in back.subpaths)]
     for corner in corners:
-        assert min(math.dist(end[:2], corner) for end in ends) < 1.0
+        assert np.linalg.norm(np.array(ends) - corner, axis=1).min() < 1.0
     for through, (subpath, after) in zip(back.through, pairwise(back.subpaths), strict=False):
         assert (subpath.control_nea_m[-1] == after.control_nea_m[0]).all()
         turn = subpath.pose(subpath.length_m).tangent_nea @ after.pose(0.0).tangent_nea
-        assert through == (turn > 0.99)
-
-
-@settings(max_examples=25)
-@given(seed=st.integers(0, 10_000), tick_s=st.sampled_from([0.05, 0.1, 0.2]))
-def test_it_comes_to_no_end_faster_than_it_can_stop_there_however_short_its_legs_are(
-    seed: int, tick_s: float
-) -> None:
-    """Of straight legs, flown in pieces of 2 to 40 m at up to 15 m/s, with corners between some."""
-    rng, here, bearing_rad = np.random.default_rng(seed), np.array([1_500.0, 1_500.0, 500.0]), 0.3
-    parts = list[FlownSegment]()
-    for _ in range(8):
-        bearing_rad += rng.choice([0.0, 0.0, 1.5])
-        length_m, pieces = rng.uniform(8.0, 120.0), int(rng.integers(1, 5))
-        ahead = np.array([math.cos(bearing_rad), math.sin(bearing_rad), 0.0])
-        control = here + np.linspace(0.0, length_m, pieces + 3)[:, None] * ahead
-        speed_m_s = rng.choice([None, 6.0])
-        parts.append(
-            FlownSegment(control_nea_m=control, from_m=0.0, until_m=length_m, speed_m_s=speed_m_s)
-        )
-        here = control[-1]
-    back = backtrack(tuple(parts), TASK, TRUTH)
-    assert back.reaches_start
+        assert through == (turn > 1.0 - 1e-9)
     legs, reference = way_of(back, TASK), Reference()
     for leg, follows in zip_longest(legs, legs[1:]):
         length_m, left_m = leg.subpath.length_m, leg.subpath.length_m
@@ -144,14 +124,3 @@ def test_it_comes_to_no_end_faster_than_it_can_stop_there_however_short_its_legs
             left_m = length_m - reference.length_m
         assert leg.through or reference.speed_m_s < 0.5
         reference = Reference(speed_m_s=reference.speed_m_s if leg.through else 0.0)
-
-
-@pytest.mark.parametrize(("above_m", "parts"), [(0.001, 1), (-0.001, 0), (-0.7, 0)])
-def test_what_begins_below_what_is_asked_above_the_floor_is_not_proven_though_it_was_flown(
-    above_m: float, parts: int
-) -> None:
-    low_m = TASK.limits.floor_amsl_m + TASK.error_m + above_m
-    control = np.linspace((1_000.0, 600.0, low_m), (1_600.0, 600.0, low_m + 20.0), 4)
-    stretch = FlownSegment(control_nea_m=control, from_m=0.0, until_m=600.0)
-    back = backtrack((stretch,), TASK, TRUTH)
-    assert (len(back.subpaths), back.reaches_start) == (parts, bool(parts))

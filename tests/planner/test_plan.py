@@ -11,13 +11,9 @@ from brute_force import violations
 from planning import BLANK, TASK, TRUTH, column_distance_m
 from planning import ask as asked
 
-from companion.path.envelope import ending_m_s, rising_m_s, slowing_m
 from companion.path.subpath import Pose
-from companion.planner.field import cost_to_go
 from companion.planner.plan import plan
-from companion.planner.price import Prices
-from companion.planner.procedure import Leg, hover_pose
-from companion.planner.progress import SLACK, Progress
+from companion.planner.procedure import hover_pose
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal, Rest
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
@@ -67,54 +63,49 @@ def budget(evaluations: int, **changes: Any) -> Task:
     return replace(TASK, settings=replace(TASK.settings, evaluations=evaluations, **changes))
 
 
-def alone(task: Task, *zones: PolygonZone) -> Task:
-    """Without radars, and with no zones but these."""
-    return replace(task, radars=(), zones=zones)
-
-
-PLAIN = replace(TRUTH, upper_m=np.full_like(TRUTH.upper_m, 100.0), seen=np.ones_like(TRUTH.seen))
-
-
 # --- what is planned is safe
 
 
-@pytest.mark.parametrize(("place", "degrees"), [
+PLACES = (
     (START, 45.0), ((2_100.0, 2_000.0, 600.0), 30.0), (BESIDE_A_HILL, 20.0),
     ((2_400.0, 3_700.0, 400.0), -20.0), ((4_600.0, 4_700.0, 600.0), 60.0),
     ((1_300.0, 5_000.0, 500.0), 80.0),
-])  # fmt: skip
-@pytest.mark.parametrize("from_rest", [True, False], ids=["from rest", "in flight"])
-def test_a_plan_is_proven_and_passes_an_independent_check_of_every_metre(
-    place: Vector, degrees: float, from_rest: bool
-) -> None:
-    request = ask(TASK, TRUTH, **flying(place, degrees, 0.03, 1.0 / 900.0))
-    outcome = planned(replace(request, from_rest=from_rest))
-    assert outcome.certificate.proven
-    assert violations(outcome.subpath.control_nea_m, TASK, TRUTH, from_rest=from_rest) == []
-    begins = outcome.subpath.pose(0.0)
-    assert begins.position_nea_m == pytest.approx(np.array(place))
-    if not from_rest:
-        assert begins.tangent_nea == pytest.approx(request.start.tangent_nea, abs=1e-9)
-        assert np.linalg.norm(begins.curvature_nea_1_m) == pytest.approx(1.0 / 900.0, rel=0.01)
+)  # fmt: skip
 
 
-@pytest.mark.parametrize("seed", range(12))
-def test_from_anywhere_a_plan_is_safe_or_there_is_none_and_a_reason(seed: int) -> None:
+def from_anywhere(seed: int) -> PlanRequest:
+    """From any place, in any bend and climb, to any target: perhaps there is no way."""
     rng = np.random.default_rng(seed)
     north, east, up = rng.uniform((500, 500, 315), (7_500, 7_500, 680)).tolist()
     where = flying((north, east, up), *rng.uniform((-180, -0.15, -1 / 300), (180, 0.15, 1 / 300)))
     target = tuple(rng.uniform(500.0, 7_500.0, 2).tolist())
-    request = ask(budget(100), TRUTH, **where, target_ne_m=target)
-    request = replace(request, from_rest=seed % 2 == 0)
+    return ask(budget(100), TRUTH, **where, target_ne_m=target)
+
+
+@pytest.mark.parametrize("from_rest", [True, False], ids=["from rest", "in flight"])
+@pytest.mark.parametrize("asked", [
+    *(ask(TASK, TRUTH, **flying(*place, 0.03, 1.0 / 900.0)) for place in PLACES),
+    *map(from_anywhere, range(6)),
+], ids=lambda asked: f"{asked.start.point_nea_m} to {asked.target_ne_m}")  # fmt: skip
+def test_a_plan_is_proven_and_passes_an_independent_check_of_every_metre_or_says_why_not(
+    asked: PlanRequest, from_rest: bool
+) -> None:
+    request = replace(asked, from_rest=from_rest)
     outcome = plan(request)
     if isinstance(outcome, NotPlanned):
+        assert request.task.settings.evaluations == 100  # from the other places there is one
         assert outcome.broken or outcome.refusal is not Refusal.NOTHING_SAFE
         return
     assert outcome.certificate.proven
-    control = outcome.subpath.control_nea_m
-    assert control[0] == pytest.approx((north, east, up))
+    begins = outcome.subpath.pose(0.0)
+    assert begins.position_nea_m == pytest.approx(request.start.position_nea_m)
     if outcome.evaluations:  # else it is the way out of where no certificate can begin
-        assert violations(control, TASK, TRUTH, from_rest=request.from_rest) == []
+        control = outcome.subpath.control_nea_m
+        assert violations(control, TASK, TRUTH, from_rest=from_rest) == []
+    if not from_rest:
+        assert begins.tangent_nea == pytest.approx(request.start.tangent_nea, abs=1e-9)
+        bend = request.start.curvature_nea_1_m
+        assert begins.curvature_nea_1_m == pytest.approx(bend, rel=0.01, abs=1e-6)
 
 
 def test_the_check_of_every_metre_finds_what_is_wrong() -> None:
@@ -137,13 +128,19 @@ def test_the_check_of_every_metre_finds_what_is_wrong() -> None:
 
 
 @pytest.mark.parametrize(
-    ("left_m", "reaches"), [(400.0, True), (1_600.0, True), (1_950.0, False), (2_400.0, False)]
+    ("left_m", "reaches"),
+    [(0.5, None), (400.0, True), (1_600.0, True), (1_950.0, False), (2_400.0, False)],
 )
 def test_a_target_within_reach_is_the_end_and_one_beyond_is_left_room_for_the_last_subpath(
-    left_m: float, reaches: bool
+    left_m: float, reaches: bool | None
 ) -> None:
+    """Where the vehicle is already there is a path of numbers, or none."""
     target = (START[0] + left_m * math.cos(1.2), START[1] + left_m * math.sin(1.2))
-    outcome = planned(ask(TASK, TRUTH, target_ne_m=target))
+    outcome = plan(ask(TASK, TRUTH, target_ne_m=target))
+    if reaches is None:
+        assert isinstance(outcome, NotPlanned) or np.isfinite(outcome.subpath.control_nea_m).all()
+        return
+    assert isinstance(outcome, Planned)
     end = outcome.subpath.control_nea_m[-1, :2]
     assert outcome.reaches_target is reaches
     if reaches:
@@ -152,24 +149,6 @@ def test_a_target_within_reach_is_the_end_and_one_beyond_is_left_room_for_the_la
         assert outcome.to_go == 0.0
     else:
         assert math.dist(end, target) >= 2.0 * TASK.limits.turn_radius_m
-
-
-@pytest.mark.parametrize("off_m", [0.0, 0.5, 30.0])
-def test_a_target_where_the_vehicle_is_gives_a_path_of_numbers_or_no_path(off_m: float) -> None:
-    with np.errstate(all="ignore"):
-        outcome = plan(ask(budget(60), TRUTH, target_ne_m=(START[0] + off_m, START[1])))
-        if isinstance(outcome, Planned):
-            pose = outcome.subpath.pose(0.0)
-            assert np.isfinite([*pose.position_nea_m, *pose.tangent_nea, outcome.cost]).all()
-
-
-def test_a_plan_leads_as_far_as_is_seen_and_about_along_the_guide() -> None:
-    outcome = planned(ask(TASK, TRUTH))
-    north, east = (outcome.subpath.control_nea_m[-1, :2] - START[:2]).tolist()
-    assert 0.95 * TASK.end_radius_m < math.hypot(north, east) <= TASK.end_radius_m + 1e-6
-    for way in (outcome.subpath.pose(0.0).tangent_nea, (north, east)):
-        off_rad = math.remainder(math.atan2(way[1], way[0]) - outcome.guide_rad, math.tau)
-        assert abs(off_rad) < 0.6
 
 
 # --- when there is none
@@ -219,66 +198,23 @@ def test_it_stops_where_flying_back_from_there_is_shorter_than_the_way_round() -
     """Between two walls there is no room to turn; round them to the target it is some 4 km."""
     gap_m, here = TASK.zone_search_clearance_m + 30.0, (3_000.0, 4_000.0, 320.0)
     corners = (2e3, 0.0), (3.5e3, 0.0), (3.5e3, 60.0), (2e3, 60.0)
-    walls = (
+    walls = tuple(
         PolygonZone(
             name=f"wall {side}",
             vertices_ne_m=tuple((n, 4_000.0 + side * (gap_m + thick)) for n, thick in corners),
         )
         for side in (-1, 1)
     )
+    task = replace(budget(1_500), radars=(), zones=walls)
+    plain = replace(TRUTH, upper_m=np.full_like(TRUTH.upper_m, 100.0))
     request = ask(
-        alone(budget(1_500), *walls), PLAIN, **flying(here, 0.0), target_ne_m=(1_000.0, 4_000.0),
+        task, plain, **flying(here, 0.0), target_ne_m=(1_000.0, 4_000.0),
         rest=Rest(length_m=300.0, end_nea_m=(here[0] + 300.0, *here[1:])),
     )  # fmt: skip
     assert refused(request).refusal is Refusal.BETTER_TO_STOP
     going_on = planned(replace(request, rest=None))
     metre = 2.4 * TASK.settings.scan_range_m / (100.0 * TASK.settings.weights.length)
     assert (going_on.cost + going_on.to_go) * metre > 3_500.0
-
-
-def test_a_leg_leads_away_only_if_that_is_news() -> None:
-    """From rest a leg may be chosen though its end is farther off: turned back, it would again."""
-    here, end, target_ne_m = (4_000.0, 4_000.0, 320.0), (4_000.0, 3_500.0, 320.0), (4e3, 7e3)
-    prices = Prices(TASK, cost_to_go(PLAIN, TASK, here[:2], target_ne_m))
-    for thought_m, is_news in ((0.0, False), (-2.0 * SLACK * TASK.settings.scan_range_m, True)):
-        progress = Progress(end_m=prices.promised_m(end) + thought_m)
-        told = replace(prices, progress=progress)
-        assert told.leads_away(here, end) is is_news
-        assert not told.leads_away(end, here)  # nearer to the target
-
-
-def test_what_a_stop_costs_is_what_is_not_flown_meanwhile() -> None:
-    """Braking for the end and setting out again as the reference point does; a scan and a plan."""
-    motion, step_s = TASK.envelope, 1e-3
-    lost_m, left_m, flown_m = 0.0, slowing_m(motion, motion.speed_m_s), 1e-6
-    while (speed := ending_m_s(motion, left_m)) > 0.1 * motion.speed_m_s:  # slower: it is there
-        left_m, lost_m = left_m - speed * step_s, lost_m + (motion.speed_m_s - speed) * step_s
-    while (speed := rising_m_s(motion, flown_m)) < motion.speed_m_s:
-        flown_m, lost_m = flown_m + speed * step_s, lost_m + (motion.speed_m_s - speed) * step_s
-    stands_s = TASK.settings.scan_time_s + TASK.settings.planning_time_s
-    assert TASK.stop_m == pytest.approx(lost_m + motion.speed_m_s * stands_s, rel=0.1)
-
-
-@pytest.mark.parametrize("beside_m", [240.0, 280.0, 320.0])
-def test_no_vehicle_circles_a_target_that_its_turns_are_too_wide_for(beside_m: float) -> None:
-    """Each subpath is hardly dearer than promised, but it could stop and leave for the target."""
-    where = flying((4_000.0, 4_000.0 + beside_m, 320.0), 0.0)
-    request = ask(alone(TASK), PLAIN, **where, target_ne_m=(4_000.0, 4_000.0))
-    end = request.start.point_nea_m
-    for number in range(1, 7):
-        outcome = plan(replace(request, plan_id=number))
-        if isinstance(outcome, NotPlanned):
-            assert not request.from_rest
-            request = replace(request, **hover(*end), from_rest=True, rest=None)
-            continue
-        if outcome.reaches_target:
-            return
-        leg = Leg.of(outcome, number, TASK)
-        end = leg.subpath.pose(leg.subpath.length_m).point_nea_m
-        scan_nea_m = leg.subpath.pose(leg.scan_at_m).point_nea_m
-        prog, rest = leg.subpath.pose(leg.successor_at_m), leg.rest
-        request = replace(request, start=prog, scan_nea_m=scan_nea_m, from_rest=False, rest=rest)
-    pytest.fail("it does not arrive")
 
 
 # --- the search
@@ -297,7 +233,7 @@ def test_the_same_question_has_the_same_answer_and_another_seed_plan_or_attempt_
         assert not np.array_equal(a.subpath.control_nea_m, other.subpath.control_nea_m)
 
 
-@pytest.mark.parametrize("time_s", [0.1, 1.0, 10.0])
+@pytest.mark.parametrize("time_s", [0.1, 10.0])
 def test_a_wider_search_has_more_time_where_the_vehicle_hovers_but_no_longer_than_3_s_or_t(
     time_s: float,
 ) -> None:
@@ -309,16 +245,7 @@ def test_a_wider_search_has_more_time_where_the_vehicle_hovers_but_no_longer_tha
         assert ask(task, TRUTH, attempt=attempt, from_rest=False).time_s == time_s
 
 
-def test_any_optimiser_may_search_and_what_it_finds_is_held_to_the_same_proof() -> None:
-    pso, default = (
-        planned(ask(budget(600, optimiser=optimiser), TRUTH, **IN_FLIGHT_BESIDE_A_HILL))
-        for optimiser in ("pso", None)
-    )
-    assert not np.array_equal(pso.subpath.control_nea_m, default.subpath.control_nea_m)
-    assert violations(pso.subpath.control_nea_m, TASK, TRUTH, from_rest=False) == []
-
-
-@pytest.mark.parametrize("looks", [1, 2, 4])
+@pytest.mark.parametrize("looks", [1, 4])
 @pytest.mark.parametrize("start", [START, BESIDE_A_HILL], ids=str)
 def test_the_search_ends_with_the_first_look_at_the_clock_after_time_is_up(
     looks: int, start: Vector

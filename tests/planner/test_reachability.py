@@ -123,16 +123,6 @@ def _joined(free: BoolArray) -> bool:
     return bool(here != 0 and here == target)
 
 
-def fly(
-    task: Task, height_m: FloatArray, start: tuple[float, float], target: tuple[float, float]
-) -> OfflineFlight:
-    """From 3,100 m over the start; height_m: of the cells of the task's map, or one for all."""
-    blank = empty_map(CELL_M, task.limits.north_m, task.limits.east_m)
-    height = np.broadcast_to(height_m, blank.upper_m.shape).astype(float)
-    truth = replace(blank, upper_m=height, seen=np.ones_like(blank.seen))
-    return planning.fly(task, truth, (*start, 3_100.0), target)
-
-
 def flown_past_a_ridge(gap_m: float, *, is_known: bool) -> OfflineFlight:
     """Of a ridge 6 km high from edge to edge two peaks are so far apart."""
     east = [40e3 + side * (0.5 * gap_m + 400.0 * i) for side in (-1, 1) for i in range(120)]
@@ -144,7 +134,7 @@ def flown_past_a_ridge(gap_m: float, *, is_known: bool) -> OfflineFlight:
 
 
 @pytest.mark.parametrize(("gap_m", "is_known", "most_m"), [
-    (2_900.0, True, 140e3), (2_350.0, True, 140e3),  # 2 and 1 km wide at the floor
+    (2_350.0, True, 140e3),  # 1 km wide at the floor
     (2_500.0, False, math.inf),  # by what was seen from along the ridge sight lines leave no way
     (1_800.0, True, 0.0),  # 500 m are kept on either side
 ])  # fmt: skip
@@ -157,15 +147,10 @@ def test_a_narrow_gap_is_flown_through_and_one_that_is_too_narrow_told_at_once(
     assert sum(flight.flown_m) <= most_m
 
 
-@pytest.mark.parametrize(
-    ("crest_m", "east_m", "half_width_m"), [(4_000.0, 30e3, 4e3), (3_200.0, 20e3, 2e3)]
-)
-def test_the_saddle_of_a_ridge_is_climbed_to_and_crossed(
-    crest_m: float, east_m: float, half_width_m: float
-) -> None:
+def test_the_saddle_of_a_ridge_is_climbed_to_and_crossed() -> None:
     """Too high for a climb at its foot; and its far side is guessed to be as high as the ridge."""
-    crest = np.where(np.abs(EAST - east_m) < 3e3, crest_m, 6e3)
-    ridge = crest * np.maximum(1.0 - np.abs(NORTH - 20e3) / half_width_m, 0.0)
-    flight = fly(TASK, ridge, HERE, TARGET)
+    crest = np.where(np.abs(EAST - 30e3) < 3e3, 4_000.0, 6e3)
+    ridge = all_seen(crest * np.maximum(1.0 - np.abs(NORTH - 20e3) / 4e3, 0.0))
+    flight = planning.fly(TASK, ridge, (*HERE, 3_100.0), TARGET)
     assert flight.failure is None
-    assert sum(flight.flown_m) < 2.5 * 2.0 * math.dist(HERE, (20e3, east_m))
+    assert sum(flight.flown_m) < 2.5 * 2.0 * math.dist(HERE, (20e3, 30e3))

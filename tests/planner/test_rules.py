@@ -1,9 +1,7 @@
 import math
 from dataclasses import replace
-from itertools import combinations
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -126,26 +124,6 @@ def test_a_target_must_lie_on_the_map_outside_keep_outs_and_inside_keep_ins() ->
 # --- polygons
 
 
-@settings(max_examples=200)
-@given(st.lists(st.tuples(st.integers(-3, 3), st.integers(-3, 3)), min_size=4, max_size=7))
-def test_edges_that_cross_are_found_as_signs_of_areas_of_all_pairs_tell_them(
-    places: list[tuple[int, int]],
-) -> None:
-    ends = np.roll(corners := np.array(places, dtype=float), -1, axis=0)
-    crosses = any(
-        sides(a, b, c, d) < 0 and sides(c, d, a, b) < 0
-        for (a, b), (c, d) in combinations(zip(corners, ends, strict=True), 2)
-    )
-    assert (rules.first_crossing(corners) is not None) == crosses
-
-
-def sides(a: Any, b: Any, *points: Any) -> float:
-    """Negative if two points lie on different sides of the line from a to b."""
-    (n, e), offs = b - a, [point - a for point in points]
-    one, other = (n * off[1] - e * off[0] for off in offs)
-    return float(one * other)
-
-
 @pytest.mark.parametrize(
     ("corners", "words"),
     [
@@ -153,12 +131,16 @@ def sides(a: Any, b: Any, *points: Any) -> float:
         (((0.0, 0.0), (9.0, 9.0), (0.0, 0.0)), "three or more"),
         (((0.0, 0.0), (50.0, 0.0), (100.0, 0.0)), "no area"),
         (((0.0, 0.0), (9.0, 9.0), (9.0, 0.0), (0.0, 9.0)), "corners 0 and 2"),
+        (((0.0, 0.0), (9.0, 0.0), (9.0, 9.0), (4.0, -1.0), (0.0, 9.0)), "corners 0 and 2"),
+        (((0.0, 0.0), (9.0, 0.0), (9.0, 9.0), (4.0, 0.0), (0.0, 9.0)), ""),  # it only touches
         (tuple((math.cos(k / 320.0), math.sin(k / 320.0)) for k in range(2001)), "2000 corners"),
     ],
 )
 def test_a_polygon_without_a_clear_inside_or_with_too_many_corners_is_refused(
     corners: tuple[tuple[float, float], ...], words: str
 ) -> None:
-    with pytest.raises(InputError, match=words):
-        rules.refuse(rules.of_polygon(corners, "keep_outs[0]", "zone"))
-    assert words != "2000 corners" or not list(rules.of_polygon(corners[:-1], "keep_outs[0]", ""))
+    told = " ".join(
+        str(part) for broken in rules.of_polygon(corners, "f", "zone") for part in broken
+    )
+    assert words in told if words else told == ""
+    assert words != "2000 corners" or not list(rules.of_polygon(corners[:-1], "f", ""))

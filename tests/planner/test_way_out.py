@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy
 from numpy.typing import NDArray
 from planning import ask
 
@@ -87,15 +88,9 @@ def seen_from(full: BoolArray, row: float, column: float) -> BoolArray:
 def wholly_clear(taken: BoolArray, clearance_m: float) -> BoolArray:
     """Cells all of whose points keep the clearance from all cells that are taken."""
     reach = math.ceil(clearance_m / CELL_M) + 1
-    size = len(taken)
-    wide = np.pad(taken, reach, constant_values=True)
-    clear = np.ones_like(taken)
-    for i in range(-reach, reach + 1):
-        for j in range(-reach, reach + 1):
-            gap = CELL_M * math.hypot(max(abs(i) - 1, 0), max(abs(j) - 1, 0))
-            if gap < clearance_m:
-                clear &= ~wide[reach + i : reach + i + size, reach + j : reach + j + size]
-    return clear
+    gap_m = CELL_M * np.maximum(np.abs(np.arange(-reach, reach + 1)) - 1, 0)
+    near = np.hypot(gap_m[:, None], gap_m) < clearance_m
+    return ~scipy.ndimage.maximum_filter(taken, footprint=near, mode="constant", cval=True)
 
 
 def steps_from(free: BoolArray, begin: tuple[int, int]) -> FloatArray:
@@ -111,6 +106,14 @@ def steps_from(free: BoolArray, begin: tuple[int, int]) -> FloatArray:
                 steps[a, b] = steps[i, j] + 1.0
                 waiting.append((a, b))
     return steps
+
+
+def map_of(upper_m: FloatArray, seen: BoolArray, cell_m: float = CELL_M) -> KnownMap:
+    """With the vehicle in its middle."""
+    corner = -0.5 * (len(upper_m) + 1) * cell_m
+    return KnownMap(
+        cell_m=cell_m, north_min_m=corner, east_min_m=corner, upper_m=upper_m, seen=seen
+    )
 
 
 def has_way(known: KnownMap, clearance_m: float, target: tuple[int, int]) -> bool:
@@ -143,14 +146,7 @@ def place(seed: int) -> tuple[PlanRequest, bool] | None:
         if not full[row, column]:
             seen |= seen_from(full, row + 0.5, column + 0.5)
     met = full & ~wholly_clear(seen, 0.1)  # next to what is free
-    corner = -(HALF + 0.5) * CELL_M
-    known = KnownMap(
-        cell_m=CELL_M,
-        north_min_m=corner,
-        east_min_m=corner,
-        upper_m=np.where(met, TOP_M, np.where(seen, GROUND_M, math.inf)),
-        seen=seen | met,
-    )
+    known = map_of(np.where(met, TOP_M, np.where(seen, GROUND_M, math.inf)), seen | met)
     bearing, away = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(4.0, 18.0)
     target = away * math.cos(bearing), away * math.sin(bearing)
     cell = known.cell_of(*target)
@@ -180,10 +176,7 @@ def test_in_flight_a_leg_is_planned_as_slowly_as_it_is_entered() -> None:
     task, here = mission_task(5.0, 1_500), (0.0, 0.0, ALTITUDE_M)
     upper_m = np.full((2 * HALF, 2 * HALF), GROUND_M)
     upper_m[HALF + 40 :] = TOP_M  # from 10 m ahead on
-    corner = -(HALF + 0.5) * CELL_M
-    known = KnownMap(
-        cell_m=CELL_M, north_min_m=corner, east_min_m=corner, upper_m=upper_m, seen=upper_m > 0.0
-    )
+    known = map_of(upper_m, upper_m > 0.0)
     rest = Rest(length_m=3.5, end_nea_m=(3.5, 0.0, ALTITUDE_M), speed_m_s=3.0)
     request = ask(task, known, here, from_rest=False, target_ne_m=(4.0, 16.0), rest=rest)
     found = plan(request)
@@ -211,18 +204,13 @@ def real(name: str) -> PlanRequest:
     limits = replace(limits, tracking_error_m=tracking, navigation_error_m=navigation)
     cell_m = range_m / 64.0
     settings = replace(task.settings, scan_range_m=range_m, cell_m=cell_m)
-    known = KnownMap(
-        cell_m=cell_m,
-        north_min_m=float(corner[0]),
-        east_min_m=float(corner[1]),
-        upper_m=np.array([math.inf, GROUND_M, TOP_M])[cells],
-        seen=cells > 0,
-    )
+    known = map_of(np.array([math.inf, GROUND_M, TOP_M])[cells], cells > 0, cell_m)
+    known = replace(known, north_min_m=float(corner[0]), east_min_m=float(corner[1]))
     task = replace(task, limits=limits, settings=settings)
     return ask(task, known, here, seed=1, target_ne_m=(float(target[0]), float(target[1])))
 
 
-@pytest.mark.parametrize("questions", [0, 1, 3, 1_000])
+@pytest.mark.parametrize("questions", [0, 3, 1_000])
 @pytest.mark.parametrize("name", REAL)
 def test_where_real_flights_gave_up_there_is_a_leg(name: str, questions: int) -> None:
     """However little time there is: it is up after so many questions whether it is."""
@@ -233,7 +221,7 @@ def test_where_real_flights_gave_up_there_is_a_leg(name: str, questions: int) ->
     assert outcome.subpath.length_m > 1.0
 
 
-def main(many: int, first: int) -> None:
+def main(many: int, first: int = 0) -> None:
     """Look at many places."""
     found: Counter[tuple[bool, str]] = Counter()
     for seed in range(first, first + many):
@@ -246,4 +234,4 @@ def main(many: int, first: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 0)
+    main(*map(int, sys.argv[1:]))

@@ -71,28 +71,6 @@ def test_every_point_over_the_safe_surface_keeps_the_clearance_to_columns_of_cel
     assert (away >= clearance_m - 1e-6).all()
 
 
-@pytest.mark.parametrize("parts", [1.0, 4.0], ids=["half cells", "whole cells"])
-@given(seed=seeds, share=st.floats(0.02, 1.0))
-def test_the_safe_surface_counts_terrain_as_at_most_two_of_its_cells_nearer_than_it_is(
-    parts: float, seed: int, share: float
-) -> None:
-    rng = np.random.default_rng(seed)
-    known = replace(random_map(rng), cell_m=CELL_M / parts)
-    # up to there half cells are worth their time; the rest of the map is within reach of no point
-    clearance_m = share * (260.0 if parts == 1.0 else 1_000.0 / parts)
-    surface = surface_over(known, clearance_m, parts)
-    ne, low = near_middle(rng, 200, 100.0) / parts, np.arange(CELLS) * known.cell_m
-    north, east = (
-        np.maximum(np.maximum(low - p, p - low - known.cell_m) - 2.0 * surface.cell_m, 0.0)
-        for p in ne.T[:, :, None]
-    )
-    aside = np.hypot(north[:, :, None], east[:, None, :])
-    ball = np.sqrt(np.maximum(clearance_m**2 - aside**2, 0.0))
-    strictest = np.where(aside < clearance_m, tops(known) + ball, -np.inf).max(axis=(1, 2))
-    assert (surface.altitude_m(ne[:, 0], ne[:, 1]) <= strictest + 1e-3).all()
-    assert surface.cell_m in (known.cell_m, known.cell_m / 2.0)
-
-
 def endless(known: KnownMap) -> KnownMap:
     """The map with so much unknown ground about it that the points of a test see no end of it."""
     return replace(
@@ -129,7 +107,6 @@ def test_the_distance_of_a_point_is_that_to_the_nearest_column_that_counts(
 
 @given(seed=seeds)
 def test_a_surface_is_bilinear_between_its_vertices_and_goes_on_as_at_its_edges(seed: int) -> None:
-    """Its slope is the finite difference."""
     rng = np.random.default_rng(seed)
     heights = rng.uniform(0.0, 400.0, (9, 7))
     surface = Surface(north_min_m=-200.0, east_min_m=300.0, cell_m=50.0, vertex_m=heights)
@@ -140,10 +117,3 @@ def test_a_surface_is_bilinear_between_its_vertices_and_goes_on_as_at_its_edges(
         inside = np.stack([np.clip(north, -200.0, 200.0), np.clip(east, 300.0, 600.0)], axis=-1)
         expected = RegularGridInterpolator(axes, heights)(inside)
         assert surface.altitude_m(north, east) == pytest.approx(expected, abs=1e-3)
-    h, inside = 0.1, rng.uniform(0.01, 0.99, (2, 30))
-    north = -200.0 + 50.0 * (rng.integers(0, 8, 30) + inside[0])
-    east = 300.0 + 50.0 * (rng.integers(0, 6, 30) + inside[1])
-    rise_n = surface.altitude_m(north + h, east) - surface.altitude_m(north - h, east)
-    rise_e = surface.altitude_m(north, east + h) - surface.altitude_m(north, east - h)
-    _, slope2 = surface.altitude_and_slope(north, east)
-    assert slope2 == pytest.approx((rise_n**2 + rise_e**2) / (2 * h) ** 2, rel=1e-6, abs=1e-9)

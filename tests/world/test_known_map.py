@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from nudge import SEEDS, nudged
-from rough_ground import COLUMNS, RANGE_M, ROWS, blank, scan_of
 
 from companion.world.known_map import (
     NO_ANSWER,
@@ -79,24 +78,6 @@ def test_a_scan_changes_what_it_answers_and_what_it_supersedes(seed: int) -> Non
         np.testing.assert_array_equal(before.upper_m, kept)
         assert after.registration_m == max(before.registration_m, scan.registration_m)
         before = after
-
-
-@pytest.mark.parametrize("reach_m", [1_150.0, RANGE_M], ids=["shown so far", "promised"])
-def test_a_cell_out_of_range_stays_unknown_although_the_radar_answered(reach_m: float) -> None:
-    """And a scan means the same on a bigger map."""
-    radar = 1_001.0, 1_001.0, 600.0
-    north, east = blank().middles_m()
-    far = np.hypot(north - radar[0], east - radar[1]) > reach_m
-    scan = scan_of(np.full((ROWS, COLUMNS), 50.0), ~far, radar)
-    known = blank().with_scan(scan)
-    assert np.isposinf(known.upper_m[far]).all()
-    assert (known.upper_m[~far] == 50.0).all()
-    big = empty_map(CELL_M, (-700.0, 9_300.0), (-1_100.0, 9_900.0))
-    after = big.with_scan(replace(scan, row=scan.row + 7, column=scan.column + 11))
-    part = after.part(slice(7, 7 + ROWS), slice(11, 11 + COLUMNS))
-    assert (part.upper_m == known.upper_m).all()
-    assert (part.north_min_m, part.east_min_m) == (0.0, 0.0)
-    assert np.isfinite(after.upper_m).sum() == np.isfinite(known.upper_m).sum()
 
 
 # --- as bytes

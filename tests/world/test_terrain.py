@@ -1,13 +1,12 @@
 """Heights of ground and bounds of boxes, against equation 1, geodesics and scipy."""
 
 import math
-from dataclasses import astuple, replace
+from dataclasses import astuple
 
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyproj import Geod
-from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import map_coordinates
 
 from companion.geodesy import FloatArray, LocalFrame
@@ -77,7 +76,7 @@ def random_grid(
 
 
 def by_geodesics(terrain: GridTerrain, north: FloatArray, east: FloatArray) -> FloatArray:
-    """The same surface by other libraries: geodesics, and scipy's interpolation."""
+    """The same surface by other libraries: geodesics, and scipy's; beyond its edge as there."""
     lat_0, lon_0 = terrain.frame.latitude_deg, terrain.frame.longitude_deg
     ones, azimuth = np.ones_like(north), np.degrees(np.arctan2(east, north))
     lon, lat, _ = Geod(ellps="WGS84").fwd(
@@ -86,7 +85,9 @@ def by_geodesics(terrain: GridTerrain, north: FloatArray, east: FloatArray) -> F
     rows, columns = terrain.heights_m.shape
     row = (lat - lat_0) / terrain.step_north_deg + 0.5 * rows
     column = ((lon - lon_0 + 180.0) % 360.0 - 180.0) / terrain.step_north_deg + 0.5 * columns
-    return np.asarray(map_coordinates(terrain.heights_m.astype(float), [row, column], order=1))
+    return np.asarray(
+        map_coordinates(terrain.heights_m.astype(float), [row, column], order=1, mode="nearest")
+    )
 
 
 @settings(max_examples=30)
@@ -96,7 +97,7 @@ def test_a_height_grid_is_bilinear_in_latitude_and_longitude_for_points_and_latt
 ) -> None:
     """On 200 km, too: between two nodes, 11 km, there are 950 m at most, so 1 mm makes 1e-4 m."""
     terrain = random_grid(seed, *place, step)
-    far = min(25.0 * step * 111_000.0 * math.cos(math.radians(place[0])), 1e5)
+    far = min(60.0 * step * 111_000.0 * math.cos(math.radians(place[0])), 1e5)
     north, east = np.random.default_rng(seed).uniform(-far, far, (2, 60))
     expected = by_geodesics(terrain, north, east)
     np.testing.assert_allclose(terrain.height_m(north, east), expected, rtol=0, atol=1e-3)
@@ -105,18 +106,17 @@ def test_a_height_grid_is_bilinear_in_latitude_and_longitude_for_points_and_latt
     np.testing.assert_allclose(lattice, terrain.height_m(*points), rtol=0, atol=1e-4)
 
 
-def lattice_terrain(seed: int) -> ArrayTerrain:
+def array_terrain(seed: int) -> ArrayTerrain:
     heights = np.random.default_rng(seed).uniform(0.0, 300.0, (12, 15))
     return ArrayTerrain(heights_m=heights, spacing_m=40.0, south_m=-100.0, west_m=70.0)
 
 
 def test_an_array_of_heights_is_bilinear_between_its_nodes_and_goes_on_beyond_them() -> None:
-    terrain = lattice_terrain(5)
-    axes = (-100.0 + 40.0 * np.arange(12), 70.0 + 40.0 * np.arange(15))
+    terrain = array_terrain(5)
     at = np.random.default_rng(6).uniform((-300.0, -100.0), (540.0, 830.0), (400, 2))
-    own = RegularGridInterpolator(axes, terrain.heights_m)
-    expected = own(np.clip(at, (-100.0, 70.0), (340.0, 630.0)))
-    np.testing.assert_allclose(terrain.height_m(at[:, 0], at[:, 1]), expected, atol=1e-9)
+    nodes = ((at - (-100.0, 70.0)) / 40.0).T
+    expected = map_coordinates(terrain.heights_m, nodes, order=1, mode="nearest")
+    np.testing.assert_allclose(terrain.height_m(*at.T), expected, atol=1e-9)
 
 
 @settings(max_examples=60)
@@ -128,7 +128,7 @@ def test_an_array_of_heights_is_bilinear_between_its_nodes_and_goes_on_beyond_th
 def test_no_point_of_heights_is_higher_than_the_bound_of_its_box(
     seed: int, place: tuple[float, float] | None, size_m: float
 ) -> None:
-    far, terrain = 500.0, lattice_terrain(seed)
+    far, terrain = 500.0, array_terrain(seed)
     if place is not None:
         terrain = random_grid(seed, *place)
         far = max(20.0 / 1200 * 111_000.0 * math.cos(math.radians(place[0])) - size_m, 0.0)
@@ -144,19 +144,3 @@ def test_no_point_of_heights_is_higher_than_the_bound_of_its_box(
             assert (bound <= brute + 2.0 * 300.0 / 40.0 * size_m / 48.0 + 1e-9).all()
         else:
             assert np.median(bound - brute) < 40.0
-
-
-def test_beyond_its_edge_a_height_grid_goes_on_as_at_the_edge_and_bounds_are_tight() -> None:
-    terrain, far = random_grid(2, 10.0, 10.0), np.array([-2e4, 2e4])
-    corners = terrain.height_m(far, far)
-    assert corners.tolist() == [terrain.heights_m[0, 0], terrain.heights_m[-1, -1]]
-    assert terrain.highest_in_box_m(far, far + 19.0, far, far + 19.0).tolist() == corners.tolist()
-    axis, inside = np.arange(-900.0, 900.0, 19.0), np.linspace(0.0, 19.0, 8)
-    north, east = axis[:, None], axis[None]
-    box = north, north + 19.0, east, east + 19.0
-    brute = np.max([terrain.height_m(north + a, east + b) for a in inside for b in inside], axis=0)
-    loose = terrain.highest_in_box_m(*box) - brute
-    assert np.quantile(loose, 0.99) < 10.0  # 1.4 m between samples, slopes up to 12
-    assert np.median(loose) < 0.3
-    flat = replace(terrain, heights_m=np.full((80, 80), 817, dtype=np.int16))
-    assert (flat.highest_in_box_m(*box) == 817.0).all()  # a map has whole metres, rounded up

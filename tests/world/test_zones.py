@@ -7,13 +7,12 @@ import pytest
 import shapely
 from hypothesis import given
 from hypothesis import strategies as st
-from planning import zone_distance_m
+from planning import drawn_zones, zone_distance_m
 
 from companion.geodesy import FloatArray
 from companion.objective import may_be_near
 from companion.world.radars import Radar, detection_probability
 from companion.world.zones import (
-    CircleZone,
     PolygonZone,
     Zone,
     gaps_m,
@@ -29,32 +28,14 @@ from companion.world.zones import (
 seeds = st.integers(0, 10**6)
 
 
-def polygon(rng: np.random.Generator, corners: int, radius_m: float) -> PolygonZone:
-    """Jagged; some have corners at whole numbers or twice, cross themselves, or keep in."""
-    turns = np.linspace(0.0, math.tau, corners, endpoint=False)
-    turns = rng.permutation(turns) if rng.random() < 0.3 else turns
-    reach = rng.uniform(0.3, 1.0, corners) * radius_m
-    middle = rng.uniform(-800.0, 800.0, 2)
-    places = middle + reach[:, None] * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
-    places = np.round(places, int(rng.choice([-2, -1, 9])))
-    places = np.repeat(places, rng.choice([1, 1, 1, 2], corners), axis=0)
-    vertices, keep_in = tuple((n, e) for n, e in places.tolist()), bool(rng.random() < 0.2)
-    return PolygonZone(name="p", vertices_ne_m=vertices, keep_in=keep_in)
-
-
 def drawn(seed: int, count: int) -> tuple[np.random.Generator, tuple[Zone, ...], FloatArray]:
     """Zones; and points (N, 2): so many anywhere, then corners and middles of edges."""
-    rng, zones = np.random.default_rng(seed), list[Zone]()
-    for _ in range(rng.integers(0, 8)):
-        zones.append(polygon(rng, int(rng.integers(3, 60)), float(rng.uniform(20.0, 600.0))))
-    for _ in range(rng.integers(0, 4)):
-        n, e = rng.uniform(-800.0, 800.0, 2).tolist()
-        radius_m, keep_in = float(rng.uniform(10.0, 400.0)), bool(rng.random() < 0.2)
-        zones.append(CircleZone(name="c", north_m=n, east_m=e, radius_m=radius_m, keep_in=keep_in))
+    rng = np.random.default_rng(seed)
+    zones = drawn_zones(rng, int(rng.integers(0, 12)), 0.0, 800.0, 600.0, 0.2)
     corners = [np.array(zone.vertices_ne_m) for zone in zones if isinstance(zone, PolygonZone)]
     middles = [0.5 * (each + np.roll(each, 1, axis=0)) for each in corners]
     points = [rng.uniform(-1_500.0, 1_500.0, (count, 2)), *(x[:3] for x in corners + middles)]
-    return rng, tuple(zones[k] for k in rng.permutation(len(zones))), np.concatenate(points)
+    return rng, zones, np.concatenate(points)
 
 
 def truth_m(zones: tuple[Zone, ...], points: FloatArray) -> FloatArray:
