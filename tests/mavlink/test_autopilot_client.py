@@ -4,8 +4,8 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from held import Held, polygon, waypoints
-from wires import over_the_wire
+from held import Held, polygon, stored, waypoints
+from wires import assert_told, over_the_wire
 
 from companion.config import load_mission
 from companion.mavlink import autopilots, rules
@@ -32,7 +32,6 @@ from companion.mission.events import (
 )
 from companion.mission.mission import Mission
 from companion.mission.state import State
-from vehicle_sim.plans import PlanItem as Stored
 
 FENCE = 1
 AUTOPILOTS = {"ardupilot": ARDUCOPTER, "px4": PX4_MULTICOPTER}
@@ -40,93 +39,89 @@ NAMES = {"ardupilot": "sitl-arducopter", "px4": "sitl-px4"}
 both = pytest.mark.parametrize("firmware", NAMES)
 
 
-WATCHING = Context(mission=load_mission("sitl-px4"), seed=1, lockstep=True, shadow=True)
+def context(mission: Mission | None = None, *, shadow: bool = True) -> Context:
+    mission = mission or load_mission("sitl-px4")
+    return Context(mission=mission, seed=1, lockstep=True, shadow=shadow)
 
 
-class Side:
-    """An autopilot's client beside a simulated vehicle, and the events that it tells."""
+class Side(Held):
+    """A vehicle, its client, and the events that it tells."""
 
     def __init__(
         self, firmware: Any, mission: Mission | None = None, *, sets: bool = False
     ) -> None:
-        mission = mission or load_mission(NAMES[firmware])
-        self.held, self.hears_home = Held(firmware), True
-        context = Context(mission=mission, seed=1, lockstep=True, shadow=not sets)
-        self.client = AutopilotClient(context, 1, AUTOPILOTS[firmware])
+        super().__init__(firmware)
+        of = context(mission or load_mission(NAMES[firmware]), shadow=not sets)
+        self.side = AutopilotClient(of, 1, AUTOPILOTS[firmware])
+        self.client, self.hears_home = self, True
         self.events: list[Any] = []
-        self._has_begun = False
 
     def on_message(self, message: Any, now_s: float) -> list[Any]:
         is_home = message.get_type() == "HOME_POSITION"
         if message.get_srcComponent() != 1 or (is_home and not self.hears_home):
             return []
-        replies = self.client.on_message(message, now_s)
-        self.client.event_of(message, now_s)
-        self.events += self.client.news(now_s)
+        replies = self.side.on_message(message, now_s)
+        self.side.event_of(message, now_s)
+        self.events += self.side.news(now_s)
         return replies
 
     def on_time(self, now_s: float) -> list[Any]:
-        begin = [] if self._has_begun else self.client.streams.begin(now_s)
-        self._has_begun = True
-        return begin + self.client.on_time(now_s)
+        begin = [] if self.side.streams.begun else self.side.streams.begin(now_s)
+        return begin + self.side.on_time(now_s)
 
     def told(self, *kinds: type) -> list[Any]:
         return [event for event in self.events if isinstance(event, kinds)]
 
-    def prepared(self, item: Item) -> list[Prepared]:
-        return [event for event in self.told(Prepared) if event.item is item]
+    def refusals(self, item: Item) -> list[str]:
+        """Of what is prepared or refused: "" is prepared."""
+        return [event.refusal for event in self.told(Prepared) if event.item is item]
 
-    def run(self, seconds: float, until: Any = lambda: False) -> "Side":
-        self.held.run(seconds, self, until)
+    def until_prepared(self, item: Item = Item.PLANS) -> "Side":
+        self.run(60.0, until=lambda: bool(self.refusals(item)))
         return self
-
-    def until_prepared(self) -> "Side":
-        return self.run(60.0, until=lambda: bool(self.prepared(Item.PLANS)))
 
 
 @both
 def test_a_fence_that_has_changed_is_told_before_it_is_read(firmware: str) -> None:
-    side = Side(firmware).until_prepared()
+    it = Side(firmware).until_prepared()
     for items, size_m in ((40, 100.0), (60, 100.0), (60, 140.0)):  # the last: as many, elsewhere
-        side.events.clear()
-        side.held.upload(FENCE, polygon(items, size_m=size_m), side)
-        side.run(90.0, until=lambda: len(side.told(FenceReading)) == 2)
-        told = side.told(FenceReading, FenceChanged)
+        it.events.clear()
+        it.draw(FENCE, *polygon(items, size_m=size_m))
+        it.run(90.0, until=lambda: len(it.told(FenceReading)) == 2)
+        told = it.told(FenceReading, FenceChanged)
         assert [type(event) for event in told] == [FenceReading, FenceChanged, FenceReading]
-        assert [event.items for event in side.told(FenceReading)] == [items, 0]
-    side.events.clear()
-    side.run(90.0)  # it is read again, and is the same
-    assert not side.told(FenceReading)
+        assert [event.items for event in it.told(FenceReading)] == [items, 0]
+    it.events.clear()
+    it.run(90.0)  # it is read again, and is the same
+    assert not it.told(FenceReading)
 
 
 def test_plans_are_not_done_before_a_fence_about_home_is_drawn() -> None:
     """Else a vehicle whose home is heard last arms before its fence is held against the mission."""
-    side = Side("ardupilot")
+    it = Side("ardupilot")
     for name, value in (("FENCE_ENABLE", 1.0), ("FENCE_TYPE", 2.0), ("FENCE_RADIUS", 60.0)):
-        side.held.simulation.set_parameter(name, value)
-    side.hears_home = False
-    assert not side.run(30.0).prepared(Item.PLANS)
-    side.hears_home = True
-    told = side.until_prepared().prepared(Item.PLANS)
-    assert "fence about home (radius 60 m)" in told[0].refusal
+        it.simulation.set_parameter(name, value)
+    it.hears_home = False
+    it.run(30.0)
+    assert not it.refusals(Item.PLANS)
+    it.hears_home = True
+    assert "fence about home (radius 60 m)" in it.until_prepared().refusals(Item.PLANS)[0]
 
 
 def test_the_fence_that_is_known_stays_in_force_while_it_is_read_anew() -> None:
-
-    def zones(side: Side) -> list[int]:
-        return [len(event.zones) for event in side.told(FenceChanged)]
-
-    side = Side("px4")
-    side.held.simulation.set_parameter("GF_MAX_HOR_DIST", 400.0)
-    side.held.upload(FENCE, polygon(7))
-    assert zones(side.run(8.0)) == [2]
-    side.client.rebooted()
-    side.hears_home = False
-    assert zones(side.run(8.0)) == [2]  # not that without what is drawn about home
-    assert any("2 zones stay in force" in note for note in side.client.notes)
-    side.held.upload(FENCE, [])
-    side.hears_home = True
-    assert zones(side.run(20.0)) == [2, 1]
+    it = Side("px4")
+    it.simulation.set_parameter("GF_MAX_HOR_DIST", 400.0)
+    it.draw(FENCE, *polygon(7))
+    it.run(8.0)
+    it.side.rebooted()
+    it.hears_home = False
+    it.run(8.0)
+    assert [len(event.zones) for event in it.told(FenceChanged)] == [2]  # not: what needs no home
+    assert any("2 zones stay in force" in note for note in it.side.notes)
+    it.draw(FENCE)
+    it.hears_home = True
+    it.run(20.0)
+    assert [len(event.zones) for event in it.told(FenceChanged)] == [2, 1]
 
 
 def px4_event(name: str) -> Any:
@@ -158,13 +153,13 @@ def text(said: str) -> Any:
     ],
 )
 def test_what_autopilots_say_of_a_breach(autopilot: Autopilot, message: Any, breach: bool) -> None:
-    told = AutopilotClient(WATCHING, 1, autopilot).event_of(message, 7.0)
+    told = AutopilotClient(context(), 1, autopilot).event_of(message, 7.0)
     assert told == (FenceBreach(time_s=7.0) if breach else None)
     assert px4.event_id("check_modes_offboard_signal") == 3087815  # as recorded (px4.md 6)
 
 
 def test_fence_status_tells_of_each_breach_once() -> None:
-    side = AutopilotClient(WATCHING, 1, ARDUCOPTER)
+    side = AutopilotClient(context(), 1, ARDUCOPTER)
     states = [(0, 0), (1, 1), (1, 1), (0, 1), (1, 2)]
     messages = [wire.MAVLink_fence_status_message(*state, 3, 0, 0) for state in states]
     told = [side.event_of(message, 1.0) is not None for message in messages]
@@ -176,32 +171,29 @@ def test_who_keeps_setting_a_parameter_back_is_said_once_and_not_fought_for_ever
     times: int, each_s: float, ends_as: float
 ) -> None:
     """COM_OBL_RC_ACT is to be 5; a ground station sets it back to 0."""
-    side = Side("px4", sets=True)
-    there = side.held.simulation.parameters
-    side.run(30.0, until=lambda: there["COM_OBL_RC_ACT"] == 5.0).run(3.0)
+    it = Side("px4", sets=True)
+    it.run(30.0, until=lambda: it.simulation.parameters["COM_OBL_RC_ACT"] == 5.0)
+    it.run(3.0)
     for _ in range(times):
-        side.held.other(wire.MAVLink_param_set_message(1, 1, b"COM_OBL_RC_ACT", 0.0, 6))
-        side.run(each_s)
-    assert side.client.parameters.values["COM_OBL_RC_ACT"] == ends_as
-    refusals = [event.refusal for event in side.prepared(Item.PARAMETERS) if event.refusal]
-    said = ["COM_OBL_RC_ACT = 0: somebody keeps setting it back"] * (times > 1)
-    assert [line.split(". ")[0] for line in refusals] == said
-    notes = [note for note in side.client.notes if "COM_OBL_RC_ACT" in note]
+        it.other(wire.MAVLink_param_set_message(1, 1, b"COM_OBL_RC_ACT", 0.0, 6))
+        it.run(each_s)
+    assert it.side.parameters.values["COM_OBL_RC_ACT"] == ends_as
+    said = [line.split(". ")[0] for line in it.refusals(Item.PARAMETERS) if line]
+    assert said == ["COM_OBL_RC_ACT = 0: somebody keeps setting it back"] * (times > 1)
+    notes = [note for note in it.side.notes if "COM_OBL_RC_ACT" in note]
     assert notes == ["set COM_OBL_RC_ACT to 5"]
-    sets = [message for _, message in side.held.sent if message.get_type() == "PARAM_SET"]
-    assert 2 <= len([each for each in sets if each.param_id == "COM_OBL_RC_ACT"]) <= 6
+    sets = [each for _, each in it.sent if each.get_type() == "PARAM_SET"]
+    assert 2 <= [each.param_id for each in sets].count("COM_OBL_RC_ACT") <= 6
 
 
 def test_what_could_not_be_set_is_refused_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    side = Side("px4", sets=True)
-    side.held.simulation.set_parameter("COM_OBL_RC_ACT", 0.0)
-    say = side.held.say
-    lost = "PARAM_SET"
+    it = Side("px4", sets=True)
+    it.simulation.set_parameter("COM_OBL_RC_ACT", 0.0)
+    say = it.say
     monkeypatch.setattr(
-        side.held, "say", lambda told: say([each for each in told if each.get_type() != lost])
+        it, "say", lambda told: say([each for each in told if each.get_type() != "PARAM_SET"])
     )
-    side.run(60.0, until=lambda: bool(side.prepared(Item.PARAMETERS)))
-    assert side.prepared(Item.PARAMETERS)[0].refusal == (
+    assert it.until_prepared(Item.PARAMETERS).refusals(Item.PARAMETERS)[0] == (
         "COM_OBL_RC_ACT = 0: it was told 5 and says 0. Set it to 5 by hand: "
         "when the stream stops the vehicle sinks without RC"
     )
@@ -212,11 +204,12 @@ def test_by_another_clock_the_same_is_asked_at_the_same_moments(shift_s: float) 
     """As after a restart in flight: the clock of before goes on until the vehicle's is heard."""
     asked = []
     for shifted_s in (0.0, shift_s):
-        side = Side("ardupilot").run(1.0)
-        side.client.rebase_time(shifted_s)
-        now_s = side.held.now_s + shifted_s
+        it = Side("ardupilot")
+        it.run(1.0)
+        it.side.rebase_time(shifted_s)
+        now_s = it.now_s + shifted_s
         times_s = (now_s + 0.097 * k for k in range(100))  # unanswered; no wait ends at one of them
-        said = (side.client.on_time(at_s) for at_s in times_s)
+        said = (it.side.on_time(at_s) for at_s in times_s)
         asked.append([sorted(bytes(each.pack(codec(1))) for each in told) for told in said])
     assert asked[0] == asked[1]
     assert len([told for told in asked[0] if told]) > 10
@@ -234,11 +227,10 @@ def ack(command: int, result: int) -> Any:
 def plane_told_its_speed() -> tuple[AutopilotClient, Any]:
     """An ArduPlane in guided mode, and the command, whose first frame may have been lost."""
     mission = load_mission("sitl-arduplane")
-    context = Context(mission=mission, seed=1, lockstep=True, shadow=True)
-    side = AutopilotClient.found(beat(), context)
+    side: Any = AutopilotClient.found(beat(), context(mission))
     side.streams.begin(0.0)
     state = State.of(mission, checkpoint.blank_map(mission))
-    [told] = side.command_messages(SetSpeed(speed_m_s=22.0), state) or [None]
+    [told] = side.command_messages(SetSpeed(speed_m_s=22.0), state)
     return side, told
 
 
@@ -257,26 +249,28 @@ def test_a_plane_is_told_its_speed_until_it_answers_or_somebody_else_flies_it() 
         assert times_told(side, 10.0 * number) == 10
     side.rebase_time(-595.0)  # by another clock from now on
     assert times_told(side, 40.0 - 595.0) == 10
-    refused = ["the autopilot does not take the mission's speed"]
     for ends, notes in (
         (beat(wire.PLANE_MODE_LOITER), []),
         (ack(told.command, wire.MAV_RESULT_ACCEPTED), []),
-        (ack(told.command, wire.MAV_RESULT_DENIED), refused),
+        (
+            ack(told.command, wire.MAV_RESULT_DENIED),
+            ["the autopilot does not take the mission's speed"],
+        ),
     ):
         side, _ = plane_told_its_speed()
         side.event_of(ends, 0.5)
-        assert times_told(side, 1.0) == 0
-        assert side.notes == notes
+        assert (times_told(side, 1.0), side.notes) == (0, notes)
 
 
 def test_it_is_armed_and_disarmed_without_force_and_a_take_off_is_taken_once_accepted() -> None:
-    side = AutopilotClient(WATCHING, 7, PX4_MULTICOPTER)
-    state = State.of(WATCHING.mission, checkpoint.blank_map(WATCHING.mission))
+    of = context()
+    side = AutopilotClient(of, 7, PX4_MULTICOPTER)
+    state = State.of(of.mission, checkpoint.blank_map(of.mission))
     for command, value in ((Arm(), 1.0), (Disarm(), 0.0)):
         [message] = side.command_messages(command, state)
-        sent = over_the_wire(message)
-        assert (sent.command, sent.target_system, sent.target_component) == (400, 7, 1)
-        assert [getattr(sent, f"param{n}") for n in range(1, 8)] == [value] + [0.0] * 6
+        numbers = {"param1": value} | {f"param{n}": 0.0 for n in range(2, 8)}
+        to = {"target_system": 7, "target_component": 1}
+        assert_told(over_the_wire(message), "COMMAND_LONG", command=400, **to, **numbers)
     for number in (wire.MAV_CMD_NAV_TAKEOFF, wire.MAV_CMD_COMPONENT_ARM_DISARM):
         told = [side.event_of(ack(number, result), 3.0) for result in range(6)]
         taken = TakeOffTaken(time_s=3.0) if number == wire.MAV_CMD_NAV_TAKEOFF else None
@@ -285,10 +279,9 @@ def test_it_is_armed_and_disarmed_without_force_and_a_take_off_is_taken_once_acc
 
 def test_how_the_vehicles_own_mission_ends_is_not_passed_over_in_silence() -> None:
     """The companion ends as its own mission says: who has drawn an RTL has to hear of it."""
-    mission = replace(load_mission("sitl-arducopter"), targets_from_vehicle=True)
-    side = Side("ardupilot", mission)
-    side.held.upload(0, [*waypoints(3), Stored(frame=2, command=20)])
-    said = side.until_prepared().client.notes
+    it = Side("ardupilot", replace(load_mission("sitl-arducopter"), targets_from_vehicle=True))
+    it.draw(0, *waypoints(3), stored(20, 0.0, 0.0, 0.0))
+    said = it.until_prepared().side.notes
     assert said == ["its mission ends with return; what counts is end.action: land"]
 
 
@@ -309,9 +302,8 @@ def test_a_fifth_autopilot_is_one_value(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(autopilots, "ALL", (*autopilots.ALL, FIFTH))
     of = wire.MAV_TYPE_QUADROTOR, wire.MAV_AUTOPILOT_SMACCMPILOT, 129, 77, 4, 3
     heartbeat = over_the_wire(wire.MAVLink_heartbeat_message(*of))
-    mission = replace(WATCHING.mission, autopilot=None)
-    context = Context(mission=mission, seed=1, lockstep=True, shadow=True)
-    side: Any = AutopilotClient.found(heartbeat, context)
+    mission = replace(load_mission("sitl-px4"), autopilot=None)
+    side: Any = AutopilotClient.found(heartbeat, context(mission))
     assert side.autopilot is FIFTH is autopilots.named("fifth", "copter")
     assert side.event_of(heartbeat, 1.0).mode is Mode.GUIDED
     altitude = over_the_wire(wire.MAVLink_altitude_message(0, *[0.0] * 6))

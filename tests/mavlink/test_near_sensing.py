@@ -1,4 +1,4 @@
-"""What lidars say, message by message (between real posts: test_recorded_lidar.py)."""
+"""What lidars say, message by message (between real posts: test_near_scanner.py)."""
 
 import math
 from collections.abc import Callable, Iterable
@@ -22,6 +22,7 @@ BEHIND_AUTOPILOT = NearSensor(
 )
 NOW_S = 10.0
 UNKNOWN = 65_535
+WELL = health(wire.MAV_SYS_STATUS_SENSOR_PROXIMITY, well=True)
 obstacle_distance = partial(lidars.obstacle_distance, NOW_S)
 
 
@@ -41,26 +42,15 @@ def read(message: Any, poses: Poses | None = None, sensor: NearSensor = LIDAR) -
     return sweep
 
 
-def clear_towards_m(sweep: Sweep, bearing_deg: float) -> float:
-    bearing = np.array([math.radians(bearing_deg)])
-    return float(sweep.clear_between_m(bearing, np.full(1, 1e-6))[0])
-
-
-def test_a_sector_says_how_far_it_is_clear_about_its_own_direction() -> None:
-    sweep = read(obstacle_distance([500, 600]))
-    for bearing, distance in ((-2.4, 5.0), (0.0, 5.0), (2.4, 5.0), (2.6, 6.0), (7.6, 20.0)):
-        assert clear_towards_m(sweep, bearing) == pytest.approx(distance)
-    assert sweep.echo_m[:3] == pytest.approx([5.0, 6.0, math.inf])
-    assert sweep.sensor_ne_m == (3.0, 4.0)
-    turned = replace(LIDAR, yaw_rad=math.pi, forward_m=0.5, right_m=0.2)
-    sweep = read(obstacle_distance([500]), standing(math.radians(90.0)), turned)
-    assert clear_towards_m(sweep, -90.0) == pytest.approx(5.0)
-    assert sweep.sensor_ne_m == pytest.approx((3.0 - 0.2, 4.0 + 0.5))
+def clear_m(sweep: Sweep, *bearings_deg: float) -> Any:
+    """How far it is clear towards these bearings."""
+    bearings = np.radians(bearings_deg)
+    return pytest.approx(sweep.clear_between_m(bearings, np.full(len(bearings), 1e-6)).tolist())
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 90.0, -130.0])
 def test_frames_offsets_and_turning_senses_all_mean_the_same_place(yaw_deg: float) -> None:
-    """One thing 5 m away in the true direction of 60 degrees."""
+    """One thing 5 m away in the true direction of 60 degrees, in a sector of 5."""
     poses, at = standing(math.radians(yaw_deg)), round((60.0 - yaw_deg) / 5.0) % 72
 
     def thing(place: int) -> list[int]:
@@ -76,29 +66,29 @@ def test_frames_offsets_and_turning_senses_all_mean_the_same_place(yaw_deg: floa
     ]
     for message in said:
         sweep = read(message, poses)
-        assert clear_towards_m(sweep, 60.0) == pytest.approx(5.0), message
-        assert clear_towards_m(sweep, 66.0) == pytest.approx(20.0), message
+        assert clear_m(sweep, 57.4, 57.6, 62.4, 62.6) == [20.0, 5.0, 5.0, 20.0], message
+        assert sweep.sensor_ne_m == (3.0, 4.0)
+    turned = replace(LIDAR, yaw_rad=math.pi, forward_m=0.5, right_m=0.2)
+    sweep = read(obstacle_distance([500]), standing(math.radians(90.0)), turned)
+    assert clear_m(sweep, -90.0) == [5.0]
+    assert sweep.sensor_ne_m == pytest.approx((3.0 - 0.2, 4.0 + 0.5))
 
 
 def test_a_tilted_beam_says_nothing_of_what_lies_beyond_its_slab() -> None:
     tilt = math.radians(20.0)
     sweep = read(obstacle_distance([2001]), standing(pitch_rad=-tilt))  # nose down
-    ahead_m = LIDAR.speaks_for_m / math.tan(tilt)
-    assert clear_towards_m(sweep, 0.0) == pytest.approx(ahead_m)
-    assert clear_towards_m(sweep, 90.0) == pytest.approx(20.0, abs=0.1)
+    assert clear_m(sweep, 0.0) == [LIDAR.speaks_for_m / math.tan(tilt)]
+    assert sweep.clear_m[18] == pytest.approx(20.0, abs=0.1)  # aside
     level = read(obstacle_distance([400]), standing(pitch_rad=-tilt))
     assert level.echo_m[0] == pytest.approx(4.0 * math.cos(tilt))
 
 
-@pytest.mark.parametrize(
-    ("told", "clear_m"),
-    [(UNKNOWN, 0.0), (0, 0.0), (19, 0.0), (20, 0.2), (1999, 19.99), (2000, 0.0), (2001, 20.0)],
-)
-def test_what_a_distance_means(told: int, clear_m: float) -> None:
+def test_what_a_distance_means() -> None:
     """What is as far as the sensor sees may be nothing, or a wrong "nothing": it says nothing."""
-    sweep = read(obstacle_distance([told]))
-    assert sweep.clear_m[0] == pytest.approx(clear_m)
-    assert math.isinf(sweep.echo_m[0]) == (told not in (20, 1999))
+    meanings = {UNKNOWN: 0.0, 0: 0.0, 19: 0.0, 20: 0.2, 1999: 19.99, 2000: 0.0, 2001: 20.0}
+    sweep = read(obstacle_distance([*meanings]))
+    assert sweep.clear_m[:7] == pytest.approx([*meanings.values()])
+    assert [told for told, m in zip(meanings, sweep.echo_m, strict=False) if m < 40] == [20, 1999]
 
 
 @pytest.mark.parametrize(
@@ -116,8 +106,7 @@ def test_what_a_distance_means(told: int, clear_m: float) -> None:
 def test_a_message_that_cannot_be_understood_says_nothing(fields: dict[str, Any]) -> None:
     sensing = NearSensing(LIDAR, standing())
     sensing.on_obstacle_distance(obstacle_distance([500], **fields), NOW_S)
-    assert sensing.sweeps() == []
-    assert sensing.sight(NOW_S) is Sight.NEVER_HEARD
+    assert (sensing.sweeps(), sensing.sight(NOW_S)) == ([], Sight.NEVER_HEARD)
 
 
 @pytest.mark.parametrize("increment", [1, 3, 7, 10, 90, 255])
@@ -125,10 +114,9 @@ def test_sectors_that_are_more_than_a_turn_or_less_are_taken_as_they_are(increme
     sweep = read(obstacle_distance([500] * 72, increment=increment))
     covered = min(72, 360 // increment)
     assert len(sweep.clear_m) == covered
-    assert clear_towards_m(sweep, 0.0) == pytest.approx(5.0)
     left = 360.0 - covered * increment
-    if left > 0.0:
-        assert clear_towards_m(sweep, -0.5 * (increment + left)) == 0.0
+    behind = 0.0 if left > 0.0 else 5.0
+    assert clear_m(sweep, 0.0, -0.5 * (increment + left)) == [5.0, behind]
 
 
 @pytest.mark.parametrize(
@@ -145,9 +133,8 @@ def test_sweeps_are_of_their_time_and_no_more_than_thirty_a_second(
 ) -> None:
     sensing = NearSensing(LIDAR, standing())
     for stamp_s, now_s in zip(stamps_s, heard_s, strict=True):
-        sensing.on_obstacle_distance(
-            obstacle_distance([500], time_usec=round(stamp_s * 1e6)), now_s
-        )
+        message = obstacle_distance([500], time_usec=round(stamp_s * 1e6))
+        sensing.on_obstacle_distance(message, now_s)
     expected = [heard_s[number] for number in taken_s]
     assert [sweep.time_s for sweep in sensing.sweeps()] == pytest.approx(expected)
 
@@ -164,14 +151,12 @@ def test_a_measurement_waits_until_the_pose_of_its_time_is_known_which_is_not_gu
     poses.on_attitude(attitude(NOW_S + 0.1, 0.0, 0.0, math.radians(-175.0)))
     (sweep,) = sensing.sweeps()
     assert sweep.sensor_ne_m == pytest.approx((1.0, 2.0))
-    assert clear_towards_m(sweep, 180.0) == pytest.approx(5.0)
+    assert clear_m(sweep, 180.0) == [5.0]
     poses.on_position(NOW_S + 2.1, (2.0, 4.0, 6.0))
     poses.on_attitude(attitude(NOW_S + 2.1))
-    assert poses.at(NOW_S + 1.0) is None  # they are too far apart
-    assert poses.at(NOW_S + 2.1) is not None
-    assert poses.at(NOW_S + 2.2) is None
     poses.on_attitude(attitude(NOW_S + 2.2, math.nan, 0.0, 0.0))
-    assert poses.at(NOW_S + 2.15) is None
+    known = {after_s: poses.at(NOW_S + after_s) is not None for after_s in (1.0, 2.1, 2.15, 2.2)}
+    assert known == {1.0: False, 2.1: True, 2.15: False, 2.2: False}  # or too far apart
 
 
 def test_sight_is_told_apart_from_a_sensor_that_is_dead_or_sees_nothing() -> None:
@@ -213,13 +198,13 @@ def test_sectors_whose_stamp_stands_still_go_on() -> None:
 
 
 def flown(
-    sensor: NearSensor, seconds: float, told: Callable[[int], Iterable[Any]], every_s: float = 0.05
+    sensor: NearSensor, seconds: float, told: Callable[[int], Iterable[Any]]
 ) -> tuple[NearSensing, list[Sweep]]:
-    """What is made of messages, told k-th of them, that come as time goes on; it flies level."""
+    """What is made of messages, told k-th of them, at 20 Hz; it flies level."""
     poses, sweeps = Poses(FRAME), list[Sweep]()
     sensing = NearSensing(sensor, poses)
-    for k in range(round(seconds / every_s)):
-        now_s = NOW_S + every_s * k
+    for k in range(round(seconds * 20.0)):
+        now_s = NOW_S + 0.05 * k
         poses.on_position(now_s, (0.0, 0.0, 5.0))
         poses.on_attitude(attitude(now_s))
         for message in told(k):
@@ -258,13 +243,13 @@ def test_what_silence_about_a_sector_means(
     sectors: Any, but: range, told_then: Any, seconds: float, expected_m: str
 ) -> None:
     """A thing in these sectors at 20 Hz, but for some sets; of another driver silence says none."""
-    expected = [float(clear_m) for clear_m in expected_m.split()]
-    for component, clear_m in ((1, expected), (158, [7.0 * (m == 7.0) for m in expected])):
+    expected = [float(each) for each in expected_m.split()]
+    for component, clear in ((1, expected), (158, [7.0 * (m == 7.0) for m in expected])):
         sensor = replace(BEHIND_AUTOPILOT, component_id=component)
         beams = lambda k: [  # noqa: E731
             beam(0.0, orientation=sector) for sector in (told_then if k in but else sectors)
         ]
-        assert flown(sensor, seconds, beams)[1][-1].clear_m == pytest.approx(clear_m)
+        assert flown(sensor, seconds, beams)[1][-1].clear_m == pytest.approx(clear)
 
 
 def test_how_far_it_sees_is_the_least_that_its_newest_messages_say() -> None:
@@ -282,7 +267,6 @@ def test_how_far_it_sees_is_the_least_that_its_newest_messages_say() -> None:
     assert sweeps[-1].clear_m[:3] == pytest.approx([9.0, 8.0, BEHIND_AUTOPILOT.range_m])
     assert sensing.limits_m == pytest.approx((0.5, 8.0))
     # nor does its silence show more, where R is more than it sees: 16 m of 40
-    well = health(wire.MAV_SYS_STATUS_SENSOR_PROXIMITY, well=True)
-    told = lambda k: [beam(0.0)] if k < 2 else [well] * (k % 20 == 0)  # noqa: E731
+    told = lambda k: [beam(0.0)] if k < 2 else [WELL] * (k % 20 == 0)  # noqa: E731
     _, sweeps = flown(replace(BEHIND_AUTOPILOT, range_m=40.0), 5.0, told)
     assert sweeps[-1].clear_m.max() == pytest.approx(16.0)

@@ -12,53 +12,44 @@ from wires import FRAME
 
 from companion.mavlink.poses import Poses
 from companion.mavlink.rangefinder import Rangefinder
-from companion.mission.events import GroundSeen
 from companion.world.known_map import KnownMap
 
 MAP_M, ERROR_M, ALTITUDE_M = 400.0, 1.0, 408.0
 
 
-def known(upper_m: Any = MAP_M) -> KnownMap:
-    """Cells of 2 m; the vehicle is in the middle of them."""
-    heights = np.broadcast_to(np.asarray(upper_m, dtype=np.float64), (40, 40)).copy()
-    return KnownMap(
-        cell_m=2.0, north_min_m=-40.0, east_min_m=-40.0, upper_m=heights, seen=np.isfinite(heights)
+def above_m(
+    *distances_m: float, lean: tuple[float, float, float] = (0.0, 0.0, 0.0), **fields: Any
+) -> list[float]:
+    """What it makes of readings at 10 Hz, a position after each, over the middle of a map.
+
+    Its cells are 2 m wide; low_to, beyond_m: from this column on so much is known of the ground.
+    """
+    upper = np.full((40, 40), MAP_M)
+    upper[:, fields.pop("low_to", 40) :] = fields.pop("beyond_m", MAP_M)
+    known = KnownMap(
+        cell_m=2.0, north_min_m=-40.0, east_min_m=-40.0, upper_m=upper, seen=np.isfinite(upper)
     )
-
-
-class Hovering:
-    """Over the middle of the map, at 10 Hz."""
-
-    def __init__(self, of: KnownMap, *, lean: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
-        self.known, self.lean, self.now_s = of, lean, 50.0
-        self.poses = Poses(FRAME)
-        self.finder = Rangefinder(self.poses, ERROR_M)
-
-    def reads(self, *distances_m: float, **fields: Any) -> list[GroundSeen]:
-        """What it makes of these, one after the other, and a position after each."""
-        found = []
-        for distance_m in distances_m:
-            self.poses.on_attitude(attitude(self.now_s, *self.lean))
-            values = {"orientation": 25, "max_distance": 4000, "id": 0, **fields}
-            read = beam(self.now_s, round(100.0 * distance_m), **values)
-            self.finder.on_message(read, self.now_s)
-            self.poses.on_position(self.now_s, (0.0, 0.0, ALTITUDE_M))
-            if (seen := self.finder.seen(self.now_s, self.known)) is not None:
-                found.append(seen)
-            self.now_s += 0.1
-        return found
+    poses, found = Poses(FRAME), []
+    finder, now_s = Rangefinder(poses, ERROR_M), 50.0
+    for distance_m in distances_m:
+        poses.on_attitude(attitude(now_s, *lean))
+        values = {"orientation": 25, "max_distance": 4000, "id": 0, **fields}
+        finder.on_message(beam(now_s, round(100.0 * distance_m), **values), now_s)
+        poses.on_position(now_s, (0.0, 0.0, ALTITUDE_M))
+        found.append(finder.seen(now_s, known))
+        now_s += 0.1
+    return [seen.above_m for seen in found if seen is not None]
 
 
 @given(ground_m=st.floats(380.0, 406.0), roll=st.floats(-0.5, 0.5), pitch=st.floats(-0.5, 0.5))
 def test_higher_ground_is_told(ground_m: float, roll: float, pitch: float) -> None:
     """However the vehicle leans; what it is told is by how much."""
     slant_m = (ALTITUDE_M - ground_m) / (math.cos(roll) * math.cos(pitch))
-    found = Hovering(known(), lean=(roll, pitch, 0.7)).reads(*[slant_m] * 6)
-    above_m = ground_m - MAP_M
-    if abs(above_m - ERROR_M) > 0.02:
-        assert bool(found) == (above_m > ERROR_M)
-    for each in found:
-        assert each.above_m == pytest.approx(above_m, abs=0.02)
+    found = above_m(*[slant_m] * 6, lean=(roll, pitch, 0.7))
+    expected_m = ground_m - MAP_M
+    if abs(expected_m - ERROR_M) > 0.02:
+        assert bool(found) == (expected_m > ERROR_M)
+    assert found == pytest.approx([expected_m] * len(found), abs=0.02)
 
 
 UNBELIEVED: list[dict[str, int]] = [
@@ -75,7 +66,7 @@ UNBELIEVED: list[dict[str, int]] = [
 
 
 @pytest.mark.parametrize(
-    ("distances_m", "fields", "above_m"),
+    ("distances_m", "fields", "expected_m"),
     [
         # for as long as it lasts, and once when it is over
         ([5.0] * 9 + [8.0] * 13, {}, [3.0] * 6 + [0.0]),
@@ -84,9 +75,8 @@ UNBELIEVED: list[dict[str, int]] = [
         *(([3.0] * 8, fields, []) for fields in UNBELIEVED),
     ],
 )
-def test_what_readings_say(distances_m: Any, fields: dict[str, int], above_m: list[float]) -> None:
-    found = Hovering(known()).reads(*distances_m, **fields)
-    assert [each.above_m for each in found] == pytest.approx(above_m)
+def test_what_readings_say(distances_m: Any, fields: dict[str, int], expected_m: Any) -> None:
+    assert above_m(*distances_m, **fields) == pytest.approx(expected_m)
 
 
 @pytest.mark.parametrize(
@@ -104,8 +94,6 @@ def test_what_readings_say(distances_m: Any, fields: dict[str, int], above_m: li
 def test_the_beam_is_compared_with_the_map_where_it_ends(
     lean_deg: tuple[float, float, float], low_to: int, is_told: bool, beyond_m: float
 ) -> None:
-    upper = np.full((40, 40), MAP_M)
-    upper[:, low_to:] = beyond_m
     roll, pitch, yaw = map(math.radians, lean_deg)
-    found = Hovering(known(upper), lean=(roll, pitch, yaw)).reads(*[3.0 * math.sqrt(2.0)] * 6)
-    assert bool(found) is is_told
+    far = {"low_to": low_to, "beyond_m": beyond_m}
+    assert bool(above_m(*[3.0 * math.sqrt(2.0)] * 6, lean=(roll, pitch, yaw), **far)) is is_told
