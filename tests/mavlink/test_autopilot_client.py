@@ -8,28 +8,13 @@ from held import Held, polygon, stored, waypoints
 from wires import assert_told, over_the_wire
 
 from companion.config import load_mission
-from companion.mavlink import autopilots, rules
 from companion.mavlink.autopilot_client import AutopilotClient
 from companion.mavlink.autopilots import ARDUCOPTER, PX4_MULTICOPTER, Autopilot, px4
-from companion.mavlink.autopilots.common import Modes
 from companion.mavlink.dialect import EventMessage, codec, wire
 from companion.mavlink.frames import Receiver
-from companion.mavlink.rules import Rule
-from companion.mission import checkpoint
+from companion.mission import checkpoint, events
 from companion.mission.decisions import Context
-from companion.mission.events import (
-    Arm,
-    Battery,
-    Disarm,
-    FenceBreach,
-    FenceChanged,
-    FenceReading,
-    Item,
-    Mode,
-    Prepared,
-    SetSpeed,
-    TakeOffTaken,
-)
+from companion.mission.events import FenceChanged, FenceReading, Item
 from companion.mission.mission import Mission
 from companion.mission.state import State
 
@@ -74,7 +59,7 @@ class Side(Held):
 
     def refusals(self, item: Item) -> list[str]:
         """Of what is prepared or refused: "" is prepared."""
-        return [event.refusal for event in self.told(Prepared) if event.item is item]
+        return [event.refusal for event in self.told(events.Prepared) if event.item is item]
 
     def until_prepared(self, item: Item = Item.PLANS) -> "Side":
         self.run(60.0, until=lambda: bool(self.refusals(item)))
@@ -154,7 +139,7 @@ def text(said: str) -> Any:
 )
 def test_what_autopilots_say_of_a_breach(autopilot: Autopilot, message: Any, breach: bool) -> None:
     told = AutopilotClient(context(), 1, autopilot).event_of(message, 7.0)
-    assert told == (FenceBreach(time_s=7.0) if breach else None)
+    assert told == (events.FenceBreach(time_s=7.0) if breach else None)
     assert px4.event_id("check_modes_offboard_signal") == 3087815  # as recorded (px4.md 6)
 
 
@@ -230,7 +215,7 @@ def plane_told_its_speed() -> tuple[AutopilotClient, Any]:
     side: Any = AutopilotClient.found(beat(), context(mission))
     side.streams.begin(0.0)
     state = State.of(mission, checkpoint.blank_map(mission))
-    [told] = side.command_messages(SetSpeed(speed_m_s=22.0), state)
+    [told] = side.command_messages(events.SetSpeed(speed_m_s=22.0), state)
     return side, told
 
 
@@ -266,14 +251,14 @@ def test_it_is_armed_and_disarmed_without_force_and_a_take_off_is_taken_once_acc
     of = context()
     side = AutopilotClient(of, 7, PX4_MULTICOPTER)
     state = State.of(of.mission, checkpoint.blank_map(of.mission))
-    for command, value in ((Arm(), 1.0), (Disarm(), 0.0)):
+    for command, value in ((events.Arm(), 1.0), (events.Disarm(), 0.0)):
         [message] = side.command_messages(command, state)
         numbers = {"param1": value} | {f"param{n}": 0.0 for n in range(2, 8)}
         to = {"target_system": 7, "target_component": 1}
         assert_told(over_the_wire(message), "COMMAND_LONG", command=400, **to, **numbers)
     for number in (wire.MAV_CMD_NAV_TAKEOFF, wire.MAV_CMD_COMPONENT_ARM_DISARM):
         told = [side.event_of(ack(number, result), 3.0) for result in range(6)]
-        taken = TakeOffTaken(time_s=3.0) if number == wire.MAV_CMD_NAV_TAKEOFF else None
+        taken = events.TakeOffTaken(time_s=3.0) if number == wire.MAV_CMD_NAV_TAKEOFF else None
         assert told == [taken, *[None] * 5]  # MAV_RESULT_ACCEPTED is 0
 
 
@@ -283,31 +268,3 @@ def test_how_the_vehicles_own_mission_ends_is_not_passed_over_in_silence() -> No
     it.draw(0, *waypoints(3), stored(20, 0.0, 0.0, 0.0))
     said = it.until_prepared().side.notes
     assert said == ["its mission ends with return; what counts is end.action: land"]
-
-
-FIFTH = replace(
-    PX4_MULTICOPTER,
-    firmware=replace(px4.FIRMWARE, name="fifth", number=wire.MAV_AUTOPILOT_SMACCMPILOT),
-    traits=replace(PX4_MULTICOPTER.traits, name="Fifth"),
-    rules=(Rule("FIFTH_RATE", rules.brakes, "how it brakes"),),
-    modes=Modes(asked={Mode.GUIDED: (77,)}, names={(77,): "LED"}),
-    streams_hz={wire.MAVLINK_MSG_ID_ALTITUDE: 5.0},
-    decoders={
-        wire.MAVLINK_MSG_ID_ALTITUDE: lambda _, now_s, *__: Battery(time_s=now_s, remaining=0.5)
-    },
-)
-
-
-def test_a_fifth_autopilot_is_one_value(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(autopilots, "ALL", (*autopilots.ALL, FIFTH))
-    of = wire.MAV_TYPE_QUADROTOR, wire.MAV_AUTOPILOT_SMACCMPILOT, 129, 77, 4, 3
-    heartbeat = over_the_wire(wire.MAVLink_heartbeat_message(*of))
-    mission = replace(load_mission("sitl-px4"), autopilot=None)
-    side: Any = AutopilotClient.found(heartbeat, context(mission))
-    assert side.autopilot is FIFTH is autopilots.named("fifth", "copter")
-    assert side.event_of(heartbeat, 1.0).mode is Mode.GUIDED
-    altitude = over_the_wire(wire.MAVLink_altitude_message(0, *[0.0] * 6))
-    assert side.event_of(altitude, 2.0) == Battery(time_s=2.0, remaining=0.5)
-    assert side.parameters.waiting == ("FIFTH_RATE",)
-    asked = [over_the_wire(each).param1 for each in side.streams.begin(0.0)]
-    assert wire.MAVLINK_MSG_ID_ALTITUDE in asked
