@@ -1,7 +1,7 @@
 """A simulated vehicle with a client of the companion on its link."""
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 from recordings import recording
 from tlog import recorded_frames
@@ -45,16 +45,11 @@ def level(
     )
 
 
-class Client(Protocol):
-    def on_message(self, message: Any, now_s: float) -> list[Any]: ...
-
-    def on_time(self, now_s: float) -> list[Any]: ...
-
-
 class Held:
     """The vehicle, and what was sent to it."""
 
-    client: Client | None = None
+    client: Any = None
+    """Has `on_message` and `on_time`, which return what is to be sent."""
 
     def __init__(
         self,
@@ -94,7 +89,7 @@ class Held:
     def deliver(self, frame: bytes) -> None:
         """What the vehicle says."""
         for message in self._receiver.feed(frame) if self.client is not None else ():
-            if message is not None and self.client is not None:
+            if message is not None:
                 self.heard.append(message)
                 self.say(self.client.on_message(message, self.now_s))
 

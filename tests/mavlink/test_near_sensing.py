@@ -91,22 +91,15 @@ def test_what_a_distance_means() -> None:
     assert [told for told, m in zip(meanings, sweep.echo_m, strict=False) if m < 40] == [20, 1999]
 
 
-@pytest.mark.parametrize(
-    "fields",
-    [
-        {"increment": 0},
-        {"increment_f": math.nan},
-        {"increment_f": 361.0},
-        {"angle_offset": math.inf},
-        {"frame": wire.MAV_FRAME_GLOBAL_TERRAIN_ALT},
-        {"frame": wire.MAV_FRAME_LOCAL_FRD},
-        {"min_distance": 2000},
-    ],
-)
-def test_a_message_that_cannot_be_understood_says_nothing(fields: dict[str, Any]) -> None:
-    sensing = NearSensing(LIDAR, standing())
-    sensing.on_obstacle_distance(obstacle_distance([500], **fields), NOW_S)
-    assert (sensing.sweeps(), sensing.sight(NOW_S)) == ([], Sight.NEVER_HEARD)
+def test_a_message_that_cannot_be_understood_says_nothing() -> None:
+    frames = (wire.MAV_FRAME_GLOBAL_TERRAIN_ALT, wire.MAV_FRAME_LOCAL_FRD)
+    for fields in (
+        *({"increment": 0}, {"increment_f": math.nan}, {"increment_f": 361.0}),
+        *({"angle_offset": math.inf}, {"min_distance": 2000}, *({"frame": f} for f in frames)),
+    ):
+        sensing = NearSensing(LIDAR, standing())
+        sensing.on_obstacle_distance(obstacle_distance([500], **fields), NOW_S)
+        assert (sensing.sweeps(), sensing.sight(NOW_S)) == ([], Sight.NEVER_HEARD), fields
 
 
 @pytest.mark.parametrize("increment", [1, 3, 7, 10, 90, 255])
@@ -119,24 +112,18 @@ def test_sectors_that_are_more_than_a_turn_or_less_are_taken_as_they_are(increme
     assert clear_m(sweep, 0.0, -0.5 * (increment + left)) == [5.0, behind]
 
 
-@pytest.mark.parametrize(
-    ("stamps_s", "heard_s", "taken_s"),
-    [
-        # a stamp of another clock counts as now
-        ((0.0, 1.795e9, 15.0), (NOW_S, NOW_S + 0.1, NOW_S + 0.2), (0, 1, 2)),
-        # told again at once it is one sweep: a driver at 125 Hz would prove more than a turn
-        ([NOW_S + 0.008 * k for k in range(20)],) * 2 + (range(0, 20, 4),),
-    ],
-)
-def test_sweeps_are_of_their_time_and_no_more_than_thirty_a_second(
-    stamps_s: list[float], heard_s: list[float], taken_s: Iterable[int]
-) -> None:
-    sensing = NearSensing(LIDAR, standing())
-    for stamp_s, now_s in zip(stamps_s, heard_s, strict=True):
-        message = obstacle_distance([500], time_usec=round(stamp_s * 1e6))
-        sensing.on_obstacle_distance(message, now_s)
-    expected = [heard_s[number] for number in taken_s]
-    assert [sweep.time_s for sweep in sensing.sweeps()] == pytest.approx(expected)
+def test_sweeps_are_of_their_time_and_no_more_than_thirty_a_second() -> None:
+    at_125_hz = [NOW_S + 0.008 * k for k in range(20)]  # else they would prove more than a turn
+    for stamps_s, heard_s, taken in (
+        (at_125_hz, at_125_hz, range(0, 20, 4)),  # told again at once it is one sweep
+        ((0.0, 1.795e9, 15.0), (10.0, 10.1, 10.2), range(3)),  # of another clock: counts as now
+    ):
+        sensing = NearSensing(LIDAR, standing())
+        for stamp_s, now_s in zip(stamps_s, heard_s, strict=True):
+            message = obstacle_distance([500], time_usec=round(stamp_s * 1e6))
+            sensing.on_obstacle_distance(message, now_s)
+        expected = [heard_s[number] for number in taken]
+        assert [sweep.time_s for sweep in sensing.sweeps()] == pytest.approx(expected)
 
 
 def test_a_measurement_waits_until_the_pose_of_its_time_is_known_which_is_not_guessed() -> None:
@@ -173,21 +160,19 @@ def test_sight_is_told_apart_from_a_sensor_that_is_dead_or_sees_nothing() -> Non
         assert sensing.sight(NOW_S + 1.5) is sight
 
 
-@pytest.mark.parametrize(
-    ("component", "fields", "is_taken"),
-    [
-        (1, {"id": 10}, True),
-        (1, {"id": 0}, False),  # a rangefinder of ArduPilot that looks ahead
-        (1, {"id": 17, "horizontal_fov": math.radians(3.0)}, False),
-        (158, {"id": 0}, True),
-        (158, {"id": 0, "horizontal_fov": math.radians(45.0)}, True),
-        (158, {"id": 0, "horizontal_fov": math.radians(27.0)}, False),
-    ],
-)
-def test_a_beam_is_no_sector(component: int, fields: dict[str, Any], is_taken: bool) -> None:
-    sensing = NearSensing(BEHIND_AUTOPILOT, standing())
-    sensing.on_distance_sensor(beam(NOW_S - 0.05, source=(1, component), **fields), NOW_S)
-    assert (sensing.sight(NOW_S) is Sight.SEES) == is_taken
+def test_a_beam_is_no_sector() -> None:
+    for component, number, field_deg, is_taken in (
+        (1, 10, 0.0, True),
+        (1, 0, 0.0, False),  # a rangefinder of ArduPilot that looks ahead
+        (1, 17, 3.0, False),
+        (158, 0, 0.0, True),
+        (158, 0, 45.0, True),
+        (158, 0, 27.0, False),
+    ):
+        sensing = NearSensing(BEHIND_AUTOPILOT, standing())
+        fields = {"id": number, "horizontal_fov": math.radians(field_deg)}
+        sensing.on_distance_sensor(beam(NOW_S - 0.05, source=(1, component), **fields), NOW_S)
+        assert (sensing.sight(NOW_S) is Sight.SEES) == is_taken
 
 
 def test_sectors_whose_stamp_stands_still_go_on() -> None:

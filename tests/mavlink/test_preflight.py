@@ -24,7 +24,7 @@ from companion.session import Session
 from companion.world.known_map import empty_map
 from companion.world.near_map import NearSensor
 
-COPTER, _, PX4, PX4_PLANE = MISSIONS
+COPTER, _, PX4, _ = MISSIONS
 KEY = bytes(range(32))
 
 
@@ -258,32 +258,27 @@ def signs(it: Pair) -> None:
     it.other(wire.MAVLink_setup_signing_message(1, 1, list(KEY), 10**13))
 
 
+POSITIONS = "GLOBAL_POSITION_INT LOCAL_POSITION_NED"
 UNSAFE = {"COM_OBL_RC_ACT": 0.0}
 """PX4 without a remote control that sinks when the stream stops (px4.md 6)."""
 ON_TARGET = draws(stored(5004, 60.0, 600.0, 100.0))
-NO_END = draws(stored(5004, math.inf, 300.0, 500.0))
 AFTER_A_CIRCLE = draws(stored(5004, 20.0, 300.0, -300.0), *polygon(3, size_m=30.0))
 WAYPOINTS = draws(stored(16, 0.0, 300.0, 100.0), stored(16, 0.0, 500.0, 300.0), kind=0)
 THEIRS: dict[str, Any] = {"targets_from_vehicle": True, "targets_ne_m": ()}
-NO_LANDED_STATE = hides("EXTENDED_SYS_STATE")
 SETUPS = {
     "nothing heard": refuses("vehicle", "none was heard", hides("HEARTBEAT")),
-    "another kind": refuses("vehicle", "vehicle.kind", task=load_mission(PX4_PLANE).task),
     "another autopilot": refuses("vehicle", "vehicle.kind", autopilot="ardupilot"),
     "parameter to be set": says("COM_OBL_RC_ACT", "note", parameters=UNSAFE),
     "not set": refuses("COM_OBL_RC_ACT", "Set it to", parameters=UNSAFE, sets_parameters=False),
     "no parameters": refuses("parameters", "not read: ", hides("PARAM_VALUE")),
     "no plans": refuses("fence", "not read: ", hides("MISSION_COUNT MISSION_ACK")),
-    "no landed state": refuses("messages", "EXTENDED_SYS_STATE", NO_LANDED_STATE),
-    "no position": refuses("messages", "", hides("GLOBAL_POSITION_INT LOCAL_POSITION_NED")),
+    "no position": refuses("messages", "GLOBAL_POSITION_INT asked", hides(POSITIONS)),
     "no GPS": refuses("position", faults="at 0 s: gps_off"),
     "fence on a target": refuses("fence", "Move the target, or change the fence.", ON_TARGET),
     "fence left out": says("fence", "note", change=ON_TARGET, fence_from_vehicle=False),
-    "fence with no end": refuses("fence", "a circle needs a radius", NO_END),
     "polygon after a circle": says("fence", "note", "polygons before circles.", AFTER_A_CIRCLE),
     "no targets": refuses("targets", **THEIRS),
     "targets of its own": says("targets", "ok", "2 targets", WAYPOINTS, **THEIRS),
-    "battery too short": refuses("battery", endurance_s=30.0),
     "no radar": refuses("radar", "component 77", scanner_component_id=77),
     "signed, with its key": says("vehicle", "ok", "", signs, name=COPTER, has_key=True),
     "signed, and no key": refuses("signing", "--signing-key", signs, name=COPTER),
