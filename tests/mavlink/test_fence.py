@@ -88,25 +88,20 @@ def room_m(fence: Any, at_ne_m: tuple[float, float]) -> float:
     return min((float(zone.distance_m(north, east)) for zone in fence.zones), default=math.inf)
 
 
-@given(st.lists(shapes(), min_size=1, max_size=4), st.lists(places, min_size=20))
-def test_what_zones_allow_both_autopilots_allow(drawn: Any, points: Any) -> None:
-    items = list(itertools.chain(*drawn))
+@given(st.lists(shapes(), min_size=1, max_size=4), st.lists(places, min_size=20), st.data())
+def test_what_zones_allow_both_autopilots_allow_and_their_margin_about_it(
+    drawn: Any, points: Any, data: st.DataObject
+) -> None:
+    items, margin_m = list(itertools.chain(*drawn)), data.draw(st.floats(0.0, 30.0))
     for theirs in ({**ON, "FENCE_OPTIONS": 3.0}, ON, None):
-        fence = zones_of(items, theirs or {"GF_ACTION": 2.0}, here_ne_m=points[0])
-        for at in () if fence.refusal else points:
-            if room_m(fence, at) > 3.0:  # ArduPilot's flat earth is 0.1 % off, within 2 km
-                assert allows(items, at, theirs)
-
-
-@given(shape=shapes(), points=st.lists(places, min_size=20), margin_m=st.floats(1.0, 30.0))
-def test_a_margin_is_kept_from_every_edge(shape: Any, points: Any, margin_m: float) -> None:
-    bare = zones_of(shape, ON)
-    fence = zones_of(shape, {**ON, "FENCE_MARGIN": margin_m})
-    if fence.refusal or any("without" in said for said in fence.notes):
-        return
-    for at in points:
-        if room_m(fence, at) > 0.0:
-            assert room_m(bare, at) > margin_m - 1e-3
+        parameters = {"GF_ACTION": 2.0} if theirs is None else {**theirs, "FENCE_MARGIN": margin_m}
+        fence = zones_of(items, parameters, here_ne_m=points[0])
+        without = theirs is None or any("without" in said for said in fence.notes)
+        reach_m = 0.0 if without else margin_m
+        for north, east in () if fence.refusal else points:
+            if room_m(fence, (north, east)) > 3.0:  # ArduPilot's flat earth is 0.1 % off
+                for a, b in ((0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)):
+                    assert allows(items, (north + a * reach_m, east + b * reach_m), theirs)
 
 
 SLANTED = ((0.0, 0.0), (1.0, 3.0), (-0.9, 1.2))

@@ -49,21 +49,19 @@ class Standing:
         self.now_s, self.here_nea_m = 100.0, (20.0, 20.0, 405.0)
         self.run(sweeps, thing=thing)
 
-    def tick(self, *messages: Any, thing: bool = True) -> Any:
-        """The messages, or one sweep, and a position after it; what it has seen."""
-        for message in messages or (sweep(self.now_s, thing=thing),):
-            self.scanner.on_message(message, self.now_s)
-        return self.move_on()
+    def run(self, count: int = 1, *, thing: bool = True, **fields: Any) -> list[Any]:
+        """So many sweeps, and a position after each; what it has seen."""
+        told = []
+        for _ in range(count):
+            self.scanner.on_message(sweep(self.now_s, thing=thing, **fields), self.now_s)
+            told.append(self.move_on())
+        return told
 
     def move_on(self, by_s: float = 0.1) -> Any:
         self.now_s += by_s
         self.poses.on_attitude(attitude(self.now_s))
         self.poses.on_position(self.now_s, self.here_nea_m)
         return self.scanner.seen(self.now_s)
-
-    def run(self, count: int, *, thing: bool = True) -> None:
-        for _ in range(count):
-            self.tick(thing=thing)
 
     def begin(self) -> None:
         self.scanner.begun(self.here_nea_m, self.state, self.now_s)
@@ -78,7 +76,7 @@ class Standing:
 
     def scan(self, *, thing: bool = True, takes: bool = True) -> None:
         self.begin()
-        self.tick(thing=thing)
+        self.run(thing=thing)
         assert self.done(takes=takes).answered == 1
 
     def upper_m(self, north_m: float) -> float:
@@ -90,7 +88,7 @@ def test_a_scan_puts_on_the_map_what_is_free_what_is_closed_and_nothing_else() -
     """Nor what others say of obstacles, or we, when somebody mirrors it."""
     it = Standing()
     for component in (1, 195, 197) * 7:
-        it.tick(sweep(it.now_s, component=component, distances=[100] * 72))
+        it.run(component=component, distances=[100] * 72)
     it.scan()
     free = dict.fromkeys((15.0, 19.0, 20.0, 22.0), GROUND_AMSL_M)  # behind, below and before it
     closed = {20.0 + THING_M: CEILING_AMSL_M + RANGE_M}
@@ -155,7 +153,7 @@ def test_silence_is_told_once_and_so_is_the_return_of_sight(clock_s: float | Non
     it.now_s = clock_s or it.now_s
     told = [it.move_on() for _ in range(30)]
     assert [seen.sight for seen in told if seen] == [Sight.DEAD]
-    assert [it.tick().sight for _ in range(3)] == [Sight.SEES] * 3
+    assert [seen.sight for seen in it.run(3)] == [Sight.SEES] * 3
 
 
 # --- what a lidar behind a real autopilot saw among posts of known place (recordings/README.md)

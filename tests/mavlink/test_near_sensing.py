@@ -9,6 +9,8 @@ from typing import Any
 import lidars
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from lidars import attitude, beam, health
 from wires import FRAME, wire
 
@@ -48,30 +50,48 @@ def clear_m(sweep: Sweep, *bearings_deg: float) -> Any:
     return pytest.approx(sweep.clear_between_m(bearings, np.full(len(bearings), 1e-6)).tolist())
 
 
-@pytest.mark.parametrize("yaw_deg", [0.0, 90.0, -130.0])
-def test_frames_offsets_and_turning_senses_all_mean_the_same_place(yaw_deg: float) -> None:
-    """One thing 5 m away in the true direction of 60 degrees, in a sector of 5."""
-    poses, at = standing(math.radians(yaw_deg)), round((60.0 - yaw_deg) / 5.0) % 72
+MEANINGS = {UNKNOWN: 0.0, 0: 0.0, 19: 0.0, 20: 0.2, 500: 5.0, 1999: 19.99, 2000: 0.0, 2001: 20.0}
+"""Centimetres between 20 and 2000, and how far it is clear.  What is as far as the sensor sees may
+be nothing, or a wrong "nothing": it says nothing."""
+NORTH = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_LOCAL_NED)
+angles_deg = st.floats(-180.0, 180.0, width=32)
 
-    def thing(place: int) -> list[int]:
-        return [500 if k == place % 72 else 2001 for k in range(72)]
 
-    said = [
-        obstacle_distance(thing(at)),
-        obstacle_distance(thing(at), increment=7, increment_f=5.0),
-        obstacle_distance(thing(at - 9), angle_offset=45.0),
-        obstacle_distance(thing(-at), increment_f=-5.0),
-        obstacle_distance(thing(12), frame=wire.MAV_FRAME_GLOBAL),
-        obstacle_distance(thing(12), frame=wire.MAV_FRAME_LOCAL_NED),
-    ]
-    for message in said:
-        sweep = read(message, poses)
-        assert clear_m(sweep, 57.4, 57.6, 62.4, 62.6) == [20.0, 5.0, 5.0, 20.0], message
-        assert sweep.sensor_ne_m == (3.0, 4.0)
-    turned = replace(LIDAR, yaw_rad=math.pi, forward_m=0.5, right_m=0.2)
-    sweep = read(obstacle_distance([500]), standing(math.radians(90.0)), turned)
-    assert clear_m(sweep, -90.0) == [5.0]
-    assert sweep.sensor_ne_m == pytest.approx((3.0 - 0.2, 4.0 + 0.5))
+@given(
+    told_cm=st.lists(st.sampled_from([*MEANINGS]), min_size=72, max_size=72),
+    width_deg=st.sampled_from([5.0, -5.0, 3.0, 2.5, -7.0, 10.0, 90.0, 255.0]),
+    offset_deg=angles_deg,
+    frame=st.sampled_from([wire.MAV_FRAME_BODY_FRD, wire.MAV_FRAME_BODY_NED, *NORTH]),
+    yaw_deg=angles_deg,
+    mounted_deg=angles_deg,
+    in_whole=st.booleans(),
+)
+def test_each_sector_says_how_far_it_is_clear_about_its_own_direction(
+    told_cm: list[int], width_deg: float, offset_deg: float, frame: int, yaw_deg: float,
+    mounted_deg: float, in_whole: bool,
+) -> None:  # fmt: skip
+    """Of the nose, as it is mounted, or of true north; more than a turn of them is left out."""
+    in_whole = in_whole and width_deg > 0.0 and width_deg % 1.0 == 0.0
+    widths = {"increment": int(width_deg)} if in_whole else {"increment_f": width_deg}
+    fields = {**widths, "angle_offset": offset_deg, "frame": frame}
+    yaw_rad, mounted_rad = math.radians(yaw_deg), math.radians(mounted_deg)
+    sensor = replace(LIDAR, yaw_rad=mounted_rad, forward_m=0.5, right_m=0.2)
+    sweep = read(obstacle_distance(told_cm, **fields), standing(yaw_rad), sensor)
+    first_deg = offset_deg + (0.0 if frame in NORTH else yaw_deg + mounted_deg)
+    count = min(72, int(360.0 // abs(width_deg)))
+    for k in range(count):
+        bearings = (first_deg + (k + aside) * width_deg for aside in (-0.49, 0.0, 0.49))
+        assert clear_m(sweep, *bearings) == [MEANINGS[told_cm[k]]] * 3
+    if left_deg := 360.0 - count * abs(width_deg):
+        behind_deg = (
+            first_deg + width_deg * (count - 0.5) + math.copysign(0.5 * left_deg, width_deg)
+        )
+        assert clear_m(sweep, behind_deg) == [0.0]
+    echoes = sum(told in (20, 500, 1999) for told in told_cm[:count])
+    assert np.isfinite(sweep.echo_m).sum() == echoes
+    ahead, aside = np.exp(1j * yaw_rad), 1j * np.exp(1j * yaw_rad)  # north + j east
+    place = complex(3.0, 4.0) + 0.5 * ahead + 0.2 * aside
+    assert sweep.sensor_ne_m == pytest.approx((place.real, place.imag))
 
 
 def test_a_tilted_beam_says_nothing_of_what_lies_beyond_its_slab() -> None:
@@ -83,14 +103,6 @@ def test_a_tilted_beam_says_nothing_of_what_lies_beyond_its_slab() -> None:
     assert level.echo_m[0] == pytest.approx(4.0 * math.cos(tilt))
 
 
-def test_what_a_distance_means() -> None:
-    """What is as far as the sensor sees may be nothing, or a wrong "nothing": it says nothing."""
-    meanings = {UNKNOWN: 0.0, 0: 0.0, 19: 0.0, 20: 0.2, 1999: 19.99, 2000: 0.0, 2001: 20.0}
-    sweep = read(obstacle_distance([*meanings]))
-    assert sweep.clear_m[:7] == pytest.approx([*meanings.values()])
-    assert [told for told, m in zip(meanings, sweep.echo_m, strict=False) if m < 40] == [20, 1999]
-
-
 def test_a_message_that_cannot_be_understood_says_nothing() -> None:
     frames = (wire.MAV_FRAME_GLOBAL_TERRAIN_ALT, wire.MAV_FRAME_LOCAL_FRD)
     for fields in (
@@ -100,16 +112,6 @@ def test_a_message_that_cannot_be_understood_says_nothing() -> None:
         sensing = NearSensing(LIDAR, standing())
         sensing.on_obstacle_distance(obstacle_distance([500], **fields), NOW_S)
         assert (sensing.sweeps(), sensing.sight(NOW_S)) == ([], Sight.NEVER_HEARD), fields
-
-
-@pytest.mark.parametrize("increment", [1, 3, 7, 10, 90, 255])
-def test_sectors_that_are_more_than_a_turn_or_less_are_taken_as_they_are(increment: int) -> None:
-    sweep = read(obstacle_distance([500] * 72, increment=increment))
-    covered = min(72, 360 // increment)
-    assert len(sweep.clear_m) == covered
-    left = 360.0 - covered * increment
-    behind = 0.0 if left > 0.0 else 5.0
-    assert clear_m(sweep, 0.0, -0.5 * (increment + left)) == [5.0, behind]
 
 
 def test_sweeps_are_of_their_time_and_no_more_than_thirty_a_second() -> None:
