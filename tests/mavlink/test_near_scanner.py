@@ -139,9 +139,9 @@ def test_a_healthy_sensor_of_the_autopilot_that_sees_nothing_has_answered() -> N
     assert MISSION.near is not None
     assert MISSION.known is not None
     of = replace(MISSION, near=replace(MISSION.near, kind="distance_sensor", component_id=1))
-    scanner, bit = NearScanner(of, Poses(of.frame)), wire.MAV_SYS_STATUS_SENSOR_PROXIMITY
+    scanner = NearScanner(of, Poses(of.frame))
     for now_s, well, sight in ((100.0, 1, Sight.NOTHING_THERE), (105.0, 0, Sight.NEVER_HEARD)):
-        scanner.on_message(health(bit, well=bool(well)), now_s)
+        scanner.on_message(health(well=bool(well)), now_s)
         assert scanner.seen(now_s).sight is sight
         scanner.begun((20.0, 20.0, 405.0), State.of(of, MISSION.known), now_s)
         assert scanner.done(now_s + 1.0).answered == well

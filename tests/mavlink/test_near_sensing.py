@@ -24,7 +24,7 @@ BEHIND_AUTOPILOT = NearSensor(
 )
 NOW_S = 10.0
 UNKNOWN = 65_535
-WELL = health(wire.MAV_SYS_STATUS_SENSOR_PROXIMITY, well=True)
+WELL = health(well=True)
 obstacle_distance = partial(lidars.obstacle_distance, NOW_S)
 
 
@@ -158,7 +158,7 @@ def test_sight_is_told_apart_from_a_sensor_that_is_dead_or_sees_nothing() -> Non
     sensing.on_distance_sensor(beam(NOW_S - 0.1), NOW_S)
     assert sensing.sight(NOW_S + 0.3) is Sight.SEES
     for well, sight in ((True, Sight.NOTHING_THERE), (False, Sight.DEAD)):
-        sensing.on_health(health(wire.MAV_SYS_STATUS_SENSOR_PROXIMITY, well=well), NOW_S + 1.0)
+        sensing.on_health(health(well=well), NOW_S + 1.0)
         assert sensing.sight(NOW_S + 1.5) is sight
 
 

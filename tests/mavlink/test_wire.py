@@ -7,7 +7,7 @@ from typing import Any, get_args
 import pytest
 import wires
 from pymavlink.dialects.v20 import all as wire
-from wires import FRAME, GEOD, SYSTEM, assert_told, geodetic, geodetic_e7, over_the_wire
+from wires import FRAME, GEOD, SYSTEM, assert_told, geodetic, geodetic_e7, heard, over_the_wire
 
 from companion.geodesy import LocalFrame
 from companion.mavlink.autopilots import ALL, FIRMWARES, NAMES, Autopilot, autopilot_of, described
@@ -27,9 +27,13 @@ each = pytest.mark.parametrize("autopilot", ALL, ids=lambda a: a.name)
 
 
 def event(
-    message: Any, autopilot: Autopilot = ARDUCOPTER, origin_nea_m: Vector | None = None
-) -> events.Event | None:
-    return autopilot.event_of(over_the_wire(message), 1.5, FRAME, origin_nea_m)
+    name: str,
+    autopilot: Autopilot = ARDUCOPTER,
+    origin_nea_m: Vector | None = None,
+    **fields: Any,
+) -> Any:
+    """What is made of a message at 1.5 s."""
+    return autopilot.event_of(heard(name, **fields), 1.5, FRAME, origin_nea_m)
 
 
 # --- setpoints
@@ -131,88 +135,73 @@ def test_what_is_out_of_range_is_not_sent(autopilot: Autopilot, field: str, valu
 # --- events
 
 
-def at(lat_e7: int, lon_e7: int, **fields: int) -> Any:
-    usual = {"alt": 584_070, "relative_alt": 123, "vx": 0, "vy": 0, "vz": 0, "hdg": 65_535}
-    return wire.MAVLink_global_position_int_message(12_300, lat_e7, lon_e7, **{**usual, **fields})
-
-
 @pytest.mark.parametrize("place", PLACES)
 def test_a_position_is_read_where_it_was_with_velocity_along_the_frame(place: Vector) -> None:
-    bearing, there = 0.7, geodetic_e7(*place[:2])
-    course = wires.true_course_rad(*place[:2], bearing)
-    speeds = {"vx": round(15_000 * math.cos(course)), "vy": round(15_000 * math.sin(course))}
+    bearing, course = 0.7, wires.true_course_rad(*place[:2], 0.7)
+    fields = dict(zip(("lat", "lon"), geodetic_e7(*place[:2]), strict=True))
+    fields |= {"alt": round(place[2] * 1e3), "relative_alt": 123, "vz": -250}
+    fields |= {"vx": round(15_000 * math.cos(course)), "vy": round(15_000 * math.sin(course))}
     nose = round(math.degrees(course) * 100)
-    read = event(at(*there, **speeds, alt=round(place[2] * 1e3), vz=-250, hdg=nose))
-    assert isinstance(read, events.Position)
+    read = event("GLOBAL_POSITION_INT", time_boot_ms=12_300, hdg=nose, **fields)
     assert (read.time_s, read.position_nea_m) == (12.3, pytest.approx(place, abs=0.02))
-    assert wires.angle_between(read.heading_rad or 0.0, bearing) < 3e-4
+    assert wires.angle_between(read.heading_rad, bearing) < 3e-4
     velocity = (150.0 * math.cos(bearing), 150.0 * math.sin(bearing), 2.5)
     assert read.velocity_nea_m_s == pytest.approx(velocity, abs=0.03)
-    unknown: Any = event(at(*there))
-    assert unknown.heading_rad is None
-
-
-LANDED = [Landed.UNKNOWN, Landed.ON_GROUND, Landed.IN_AIR, Landed.TAKING_OFF, Landed.LANDING]
-"""By MAV_LANDED_STATE."""
+    assert event("GLOBAL_POSITION_INT", hdg=65_535, **fields).heading_rad is None
 
 
 def test_states_are_those_of_the_message_definitions() -> None:
-    for number, landed in enumerate([*LANDED, *[Landed.UNKNOWN] * 95]):
-        expected = events.LandedState(time_s=1.5, landed=landed)
-        assert event(wire.MAVLink_extended_sys_state_message(0, number)) == expected
+    landed = [Landed.UNKNOWN, Landed.ON_GROUND, Landed.IN_AIR, Landed.TAKING_OFF, Landed.LANDING]
+    for number, state in enumerate([*landed, *[Landed.UNKNOWN] * 95]):
+        assert event("EXTENDED_SYS_STATE", landed_state=number).landed is state
     for fix_type, good in ((0, False), (2, False), (3, True), (6, True)):
-        fix = wire.MAVLink_gps_raw_int_message(0, fix_type, *([0] * 8))
-        assert event(fix) == events.GpsFix(time_s=1.5, good=good)
+        assert event("GPS_RAW_INT", fix_type=fix_type) == events.GpsFix(time_s=1.5, good=good)
     for percent, share in ((0, 0.0), (37, 0.37), (100, 1.0), (-1, None), (101, None)):
-        status = wire.MAVLink_sys_status_message(0, 0, 0, 0, 12_000, 0, percent, 0, 0, 0, 0, 0, 0)
-        first, second = (
-            wire.MAVLink_battery_status_message(number, 0, 0, 0, [0] * 10, 0, 0, 0, percent)
-            for number in (0, 1)  # others may power something else
-        )
         left = None if share is None else events.Battery(time_s=1.5, remaining=share)
-        assert event(status) == event(first) == left
-        assert event(second) is None
+        assert event("SYS_STATUS", battery_remaining=percent) == left
+        assert event("BATTERY_STATUS", battery_remaining=percent) == left
+        assert event("BATTERY_STATUS", battery_remaining=percent, id=1) is None  # of something else
     for autopilot, status, armed in itertools.product(ALL, range(9), (False, True)):
-        base = 1 | wire.MAV_MODE_FLAG_SAFETY_ARMED * armed
-        read = event(wire.MAVLink_heartbeat_message(2, 3, base, 4, status, 3), autopilot)
-        assert isinstance(read, events.VehicleStatus)
+        base_mode = 1 | wire.MAV_MODE_FLAG_SAFETY_ARMED * armed
+        read = event("HEARTBEAT", autopilot, base_mode=base_mode, system_status=status)
         fails = status in (wire.MAV_STATE_CRITICAL, wire.MAV_STATE_EMERGENCY)
         assert (read.time_s, read.armed, read.failsafe) == (1.5, armed, fails)
-    assert event(wire.MAVLink_system_time_message(0, 0)) is None
-
-
-REST = (584_070, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0)
+    assert event("SYSTEM_TIME") is None
 
 
 @pytest.mark.parametrize(
-    ("kind", "told"),
+    ("name", "kind", "latitude", "longitude", "height"),
     [
-        (events.Position, at),
-        (events.Home, lambda *at_e7: wire.MAVLink_home_position_message(*at_e7, *REST)),
-        (events.Origin, lambda *at_e7: wire.MAVLink_gps_global_origin_message(*at_e7, 584_070)),
-        (
-            events.Echo,  # an ArduPlane's waypoint
-            lambda *at_e7: wire.MAVLink_position_target_global_int_message(
-                0, 0, 0xFDF8, *at_e7, 584.07, *([0.0] * 8)
-            ),
-        ),
+        ("GLOBAL_POSITION_INT", events.Position, "lat", "lon", {"alt": 584_070}),
+        ("HOME_POSITION", events.Home, "latitude", "longitude", {"altitude": 584_070}),
+        ("GPS_GLOBAL_ORIGIN", events.Origin, "latitude", "longitude", {"altitude": 584_070}),
+        ("POSITION_TARGET_GLOBAL_INT", events.Echo, "lat_int", "lon_int", {"alt": 584.07}),
     ],
-    ids=["position", "home", "origin", "waypoint"],
 )
-def test_places_are_amsl_and_on_earth_and_0_0_is_none(kind: type, told: Any) -> None:
+def test_places_are_amsl_and_on_earth_and_0_0_is_none(
+    name: str, kind: type, latitude: str, longitude: str, height: dict[str, Any]
+) -> None:
     """3090, -717 was recorded: an ArduPlane that has no fix yet; on the equator there are some."""
-    read: Any = event(told(*geodetic_e7(*CORNER[:2])), ARDUPLANE)
-    assert isinstance(read, kind)
-    assert read.position_nea_m == pytest.approx((*CORNER[:2], 584.07), abs=0.02)
-    for place in ((0, 0), (3090, -717), (-99_000, 99_000), (0, 80_000_000)):
-        assert (event(told(*place), ARDUPLANE) is None) == (place[1] < 100_000)
-    for beyond in ((470_000_000, 1_800_000_001), (2**31 - 1, 80_000_000), (0, -(2**31))):
-        assert event(told(*beyond), ARDUPLANE) is None
+
+    def read(lat_e7: int, lon_e7: int) -> Any:
+        return event(name, ARDUPLANE, **{latitude: lat_e7, longitude: lon_e7}, **height)
+
+    there = read(*geodetic_e7(*CORNER[:2]))
+    assert isinstance(there, kind)
+    assert there.position_nea_m == pytest.approx((*CORNER[:2], 584.07), abs=0.02)
+    assert read(0, 80_000_000) is not None
+    nowhere = [(0, 0), (3090, -717), (-99_000, 99_000)]
+    for place in (*nowhere, (470_000_000, 1_800_000_001), (2**31 - 1, 80_000_000), (0, -(2**31))):
+        assert read(*place) is None
 
 
-def local_target(x: float, y: float, z: float, type_mask: int = 0) -> Any:
-    values = (x, y, z, 3.0, 0.0, -1.0, *[0.0] * 5)
-    return wire.MAVLink_position_target_local_ned_message(0, 1, type_mask, *values)
+def local_echo(
+    autopilot: Autopilot, origin_nea_m: Vector | None, *place: float, type_mask: int = 0
+) -> Any:
+    target = dict(zip("xyz", place, strict=True))
+    return event(
+        "POSITION_TARGET_LOCAL_NED", autopilot, origin_nea_m, type_mask=type_mask, **target
+    )
 
 
 @pytest.mark.parametrize("origin_nea_m", [(0.0, 0.0, 488.0), (-30_000.0, 20_000.0, 488.0)])
@@ -224,8 +213,7 @@ def test_a_local_echo_is_read_on_the_autopilots_own_earth(
     autopilot: Autopilot, earth: Any, origin_nea_m: Vector, ne_m: tuple[float, float]
 ) -> None:
     there = earth(Place(*geodetic(*origin_nea_m[:2]), origin_nea_m[2])).place(*ne_m, 0.0)
-    read = event(local_target(*ne_m, -60.0), autopilot, origin_nea_m)
-    assert isinstance(read, events.Echo)
+    read = local_echo(autopilot, origin_nea_m, *ne_m, -60.0)
     latitude, longitude = geodetic(*read.position_nea_m[:2])
     _, _, off_m = GEOD.inv(longitude, latitude, there[1], there[0])
     assert off_m < 0.05
@@ -234,14 +222,14 @@ def test_a_local_echo_is_read_on_the_autopilots_own_earth(
 
 @each
 def test_a_local_echo_needs_an_origin_hovering_and_numbers(autopilot: Autopilot) -> None:
-    told, origin_nea_m = (1.0, 2.0, -3.0), (0.0, 0.0, 488.0)
-    is_echo = event(local_target(*told), autopilot, origin_nea_m) is not None
+    place, origin_nea_m = (1.0, 2.0, -3.0), (0.0, 0.0, 488.0)
+    is_echo = local_echo(autopilot, origin_nea_m, *place) is not None
     assert is_echo == (autopilot in HOVERING)
-    assert event(local_target(*told), autopilot) is None
-    ignored = [local_target(*told, bit) for bit in (1, 2, 4)]
-    bad = [local_target(math.nan, 2.0, -3.0), local_target(1.0, math.inf, -3.0)]
-    for message in (*ignored, *bad, local_target(1.0, 2.0, math.nan)):
-        assert event(message, autopilot, origin_nea_m) is None
+    assert local_echo(autopilot, None, *place) is None
+    for bit in (1, 2, 4):
+        assert local_echo(autopilot, origin_nea_m, *place, type_mask=bit) is None
+    for bad in ((math.nan, 2.0, -3.0), (1.0, math.inf, -3.0), (1.0, 2.0, math.nan)):
+        assert local_echo(autopilot, origin_nea_m, *bad) is None
 
 
 @each
@@ -252,11 +240,12 @@ def test_an_estimator_is_good_while_it_takes_its_measurements(autopilot: Autopil
     needed = 0x33  # attitude, horizontal velocity and position, height
 
     def told(flags: int, position: float, velocity: float, accuracy_m: float = 0.25) -> Any:
-        figures = (velocity, position, 0.0, 0.1, 0.0)
-        if is_px4:
-            figures = (*figures, 0.0, accuracy_m, 0.3)
-            return event(wire.MAVLink_estimator_status_message(0, flags, *figures), autopilot)
-        return event(wire.MAVLink_ekf_status_report_message(flags, *figures), autopilot)
+        figures = {"flags": flags, "pos_horiz_accuracy": accuracy_m}
+        figures |= {"pos_horiz_ratio": position, "vel_ratio": velocity}
+        if not is_px4:
+            figures = {"flags": flags, "pos_horiz_variance": position}
+            figures["velocity_variance"] = velocity
+        return event("ESTIMATOR_STATUS" if is_px4 else "EKF_STATUS_REPORT", autopilot, **figures)
 
     for bit in (1 << k for k in range(16)):
         assert told(healthy ^ bit, 0.05, 0.05).good is not bool(bit & (needed | bad)), hex(bit)
@@ -286,7 +275,7 @@ def test_an_estimator_is_good_while_it_takes_its_measurements(autopilot: Autopil
     ],
 )
 def test_which_autopilot(autopilot: int, kind: int, expected: Autopilot | None, words: str) -> None:
-    beat = over_the_wire(wire.MAVLink_heartbeat_message(kind, autopilot, 0, 0, 3, 3))
+    beat = heard("HEARTBEAT", type=kind, autopilot=autopilot)
     assert (autopilot_of(beat), described(beat)) == (expected, words)
     assert expected is None or words in NAMES
     assert {each.name for each in FIRMWARES} == set(get_args(AutopilotName))
@@ -380,6 +369,6 @@ def test_arduplane_alone_is_told_its_airspeed_and_refuses_setpoints(autopilot: A
     for speed in (0.0, -1.0, math.nan, math.inf, 1e6):
         assert autopilot.set_speed(speed, SYSTEM) == []
     for command, result in itertools.product((192, 176), range(10)):
-        ack = over_the_wire(wire.MAVLink_command_ack_message(command, result))
+        ack = heard("COMMAND_ACK", command=command, result=result)
         refuses = command == 192 and result != wire.MAV_RESULT_ACCEPTED
         assert autopilot.refuses_setpoint(ack) is (autopilot is ARDUPLANE and refuses)

@@ -15,6 +15,7 @@ LATITUDE_DEG, LONGITUDE_DEG = 47.0, 8.0
 FRAME = LocalFrame(latitude_deg=LATITUDE_DEG, longitude_deg=LONGITUDE_DEG)
 GEOD = pyproj.Geod(ellps="WGS84")
 SYSTEM = 7
+_KINDS: dict[str, Any] = {kind.msgname: kind for kind in wire.mavlink_map.values()}
 
 
 def over_the_wire(message: Any, source: tuple[int, int] = (1, 1)) -> Any:
@@ -22,6 +23,15 @@ def over_the_wire(message: Any, source: tuple[int, int] = (1, 1)) -> Any:
     sender = wire.MAVLink(None, srcSystem=source[0], srcComponent=source[1])
     [parsed] = wire.MAVLink(None).parse_buffer(message.pack(sender))
     return parsed
+
+
+def heard(name: str, source: tuple[int, int] = (1, 1), **fields: Any) -> Any:
+    """A message of a component, as it is read; what is not said of it is 0."""
+    kind, values = _KINDS[name], dict(fields)
+    for field, length in zip(kind.ordered_fieldnames, kind.array_lengths, strict=True):
+        is_text = kind.fieldtypes[kind.fieldnames.index(field)] == "char"
+        values.setdefault(field, b"" if is_text else [0] * length if length else 0)
+    return over_the_wire(kind(**values), source)
 
 
 def geodetic(north_m: float, east_m: float) -> tuple[float, float]:
