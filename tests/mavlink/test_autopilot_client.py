@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 from held import Held, polygon, stored, waypoints
-from wires import assert_told, over_the_wire
+from wires import assert_told, heard, over_the_wire
 
 from companion.config import load_mission
 from companion.mavlink.autopilot_client import AutopilotClient
@@ -119,7 +119,7 @@ def px4_event(name: str) -> Any:
 
 
 def text(said: str) -> Any:
-    return wire.MAVLink_statustext_message(4, said.encode())
+    return heard("STATUSTEXT", text=said.encode())
 
 
 @pytest.mark.parametrize(
@@ -146,9 +146,11 @@ def test_what_autopilots_say_of_a_breach(autopilot: Autopilot, message: Any, bre
 def test_fence_status_tells_of_each_breach_once() -> None:
     side = AutopilotClient(context(), 1, ARDUCOPTER)
     states = [(0, 0), (1, 1), (1, 1), (0, 1), (1, 2)]
-    messages = [wire.MAVLink_fence_status_message(*state, 3, 0, 0) for state in states]
-    told = [side.event_of(message, 1.0) is not None for message in messages]
-    assert told == [False, True, False, False, True]
+    told = [
+        side.event_of(heard("FENCE_STATUS", breach_status=now, breach_count=count), 1.0)
+        for now, count in states
+    ]
+    assert [event is not None for event in told] == [False, True, False, False, True]
 
 
 @pytest.mark.parametrize(("times", "each_s", "ends_as"), [(1, 12.0, 5.0), (6, 9.0, 0.0)])
@@ -201,12 +203,11 @@ def test_by_another_clock_the_same_is_asked_at_the_same_moments(shift_s: float) 
 
 
 def beat(mode: int = wire.PLANE_MODE_GUIDED) -> Any:
-    numbers = (1, wire.MAV_AUTOPILOT_ARDUPILOTMEGA, 129, mode, 4, 3)
-    return over_the_wire(wire.MAVLink_heartbeat_message(*numbers))
+    return heard("HEARTBEAT", type=1, autopilot=3, base_mode=129, custom_mode=mode)
 
 
 def ack(command: int, result: int) -> Any:
-    return over_the_wire(wire.MAVLink_command_ack_message(command, result))
+    return heard("COMMAND_ACK", command=command, result=result)
 
 
 def plane_told_its_speed() -> tuple[AutopilotClient, Any]:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from msgspec import structs
-from wires import FRAME, SYSTEM, assert_told, geodetic_e7, over_the_wire, wire
+from wires import FRAME, SYSTEM, assert_told, geodetic_e7, heard, over_the_wire, wire
 
 from companion.config import load_mission
 from companion.geodesy import LocalFrame
@@ -38,18 +38,17 @@ def made(frame: LocalFrame = FRAME) -> Component:
 
 def long(command: int, *parameters: float, confirmation: int = 0, **ids: tuple[int, int]) -> Any:
     """COMMAND_LONG of the person, or another sender, as it is read; what is left out is 0."""
-    seven = (*parameters, *[0.0] * (7 - len(parameters)))
-    target, sender = ids.get("target", OURS), ids.get("sender", PERSON)
-    message = wire.MAVLink_command_long_message(*target, command, confirmation, *seven)
-    return over_the_wire(message, sender)
+    system, component = ids.get("target", OURS)
+    fields = {f"param{n}": value for n, value in enumerate(parameters, 1)}
+    fields |= {"target_system": system, "target_component": component}
+    sender, told = ids.get("sender", PERSON), {"command": command, "confirmation": confirmation}
+    return heard("COMMAND_LONG", sender, **told, **fields)
 
 
-def in_ints(
-    command: int, first: float = 0.0, x: int = 0, y: int = 0, frame_id: int = 0, z: float = 0.0
-) -> Any:
-    """COMMAND_INT of the person as it is read."""
-    numbers = (command, 0, 0, first, 0.0, 0.0, 0.0, x, y, z)
-    return over_the_wire(wire.MAVLink_command_int_message(*OURS, frame_id, *numbers), PERSON)
+def in_ints(command: int, first: float = 0.0, **fields: float) -> Any:
+    """COMMAND_INT of the person."""
+    to = {"target_system": SYSTEM, "target_component": 195}
+    return heard("COMMAND_INT", PERSON, command=command, param1=first, **to, **fields)
 
 
 def answered(
@@ -101,8 +100,8 @@ REFUSED = [
     *(long(START, value) for value in (3.0, math.inf)),
     *(long(PAUSE, value) for value in (2.0, NAN)),
     *(long(REPOSITION, -1.0, 0.0, 0.0, NAN, *place, 100.0) for place in NO_PLACES),
-    in_ints(REPOSITION, x=NOWHERE, y=80_000_000, frame_id=5),
-    in_ints(REPOSITION, x=470_000_000, y=NOWHERE, frame_id=5),
+    in_ints(REPOSITION, x=NOWHERE, y=80_000_000, frame=5),
+    in_ints(REPOSITION, x=470_000_000, y=NOWHERE, frame=5),
     long(LAND, 0.0, 0.0, 0.0, NAN, 47.0, 8.0, 0.0),
     in_ints(LAND, x=1, y=1),
     *(long(command, sender=by) for command in (START, PAUSE, RETURN) for by in STRANGERS),
@@ -137,7 +136,7 @@ def test_a_new_target_lies_where_told_if_that_is_on_the_map_in_a_frame_with_a_pl
     assume(min(map(abs, edges_m)) > 1.0)  # as floats of 32 bits they are a metre off
     on_map = edges_m[0] > 0.0 > edges_m[1] and edges_m[2] > 0.0 > edges_m[3]
     result = ACCEPTED if on_map else DENIED
-    message = in_ints(REPOSITION, -1.0, x, y, frame_id, NAN)
+    message = in_ints(REPOSITION, -1.0, x=x, y=y, frame=frame_id, z=NAN)
     in_floats = long(REPOSITION, -1.0, 0.0, 0.0, NAN, x * 1e-7, y * 1e-7, 50.0)
     wanted = result if frame_id in WITH_A_PLACE else WRONG_FRAME
     for each, expected, off_m in ((message, wanted, 0.02), (in_floats, result, 0.5)):
@@ -150,8 +149,8 @@ def test_a_new_target_lies_where_told_if_that_is_on_the_map_in_a_frame_with_a_pl
 
 def test_0_0_is_no_place_even_if_it_lies_on_the_map() -> None:
     gulf = made(LocalFrame(latitude_deg=0.001, longitude_deg=0.001))
-    assert answered(gulf, in_ints(REPOSITION, x=1, y=1, frame_id=5))[1] == [ACCEPTED]
-    for nowhere in (in_ints(REPOSITION, frame_id=5), long(REPOSITION)):
+    assert answered(gulf, in_ints(REPOSITION, x=1, y=1, frame=5))[1] == [ACCEPTED]
+    for nowhere in (in_ints(REPOSITION, frame=5), long(REPOSITION)):
         assert answered(gulf, nowhere)[1] == [DENIED]
 
 
@@ -175,7 +174,7 @@ def said(command: int, confirmation: int, at_s: float, value: float = 0.0) -> tu
 
 
 X, Y = geodetic_e7(50.0, 60.0)
-THERE, BESIDE = (in_ints(REPOSITION, -1.0, X + k, Y, 5) for k in (0, 1))
+THERE, BESIDE = (in_ints(REPOSITION, -1.0, x=X + k, y=Y, frame=5) for k in (0, 1))
 OTHERS = long(PAUSE, confirmation=1, sender=(1, 191))
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from wires import FRAME, GEOD, wire
+from wires import FRAME, GEOD, heard
 
 from companion.config import load_mission
 from companion.mavlink.terrain_download import TerrainDownload, areas
@@ -58,12 +58,11 @@ def bits(mask: int) -> list[int]:
 
 def block(request: Any, bit: int, data: list[int], **changes: int) -> Any:
     values = {"lat": request.lat, "lon": request.lon, "grid_spacing": request.grid_spacing}
-    return wire.MAVLink_terrain_data_message(gridbit=bit, data=data, **{**values, **changes})
+    return heard("TERRAIN_DATA", gridbit=bit, data=data, **{**values, **changes})
 
 
 def report(request: Any, pending: int = 0) -> Any:
-    corner = (request.lat, request.lon, request.grid_spacing)
-    return wire.MAVLink_terrain_report_message(*corner, 0.0, 0.0, pending, 1)
+    return heard("TERRAIN_REPORT", lat=request.lat, lon=request.lon, pending=pending)
 
 
 def answers(request: Any, heights: Heights = lambda *_: [500] * 16) -> list[Any]:

@@ -14,7 +14,7 @@ import pytest
 from held import FOUR, Held, polygon, recorded, stored, waypoints
 from hypothesis import given
 from hypothesis import strategies as st
-from wires import over_the_wire
+from wires import heard
 
 from companion.mavlink.autopilots import ALL
 from companion.mavlink.dialect import wire
@@ -103,8 +103,8 @@ def test_all_comes_whole_and_what_is_set_is_read_back(
 
 
 def told(name: str, value: float, kind: int = 9, source: tuple[int, int] = (1, 1)) -> Any:
-    message = wire.MAVLink_param_value_message(name.encode(), value, kind, 1, 0)
-    return over_the_wire(message, source)
+    fields = {"param_id": name.encode(), "param_value": value, "param_type": kind}
+    return heard("PARAM_VALUE", source, **fields)
 
 
 def asked(messages: list[Any]) -> list[tuple[str, Any]]:
@@ -153,8 +153,7 @@ def test_a_parameter_error_says_at_once_that_there_is_none() -> None:
     client.on_time(0.0)
     missing, read_only = wire.MAV_PARAM_ERROR_DOES_NOT_EXIST, wire.MAV_PARAM_ERROR_READ_ONLY
     for name, why in ((b"A", missing), (b"B", read_only)):
-        error = wire.MAVLink_param_error_message(1, 195, name, -1, why)
-        client.on_message(over_the_wire(error), 0.1)
+        client.on_message(heard("PARAM_ERROR", param_id=name, error=why), 0.1)
         assert client.waiting == ("B",)
 
 
@@ -233,15 +232,20 @@ def test_a_new_id_of_a_list_has_it_read_as_recorded() -> None:
     assert watch.due_s == -math.inf
 
 
+def to(ids: tuple[int, int], kind: int) -> dict[str, int]:
+    return {"target_system": ids[0], "target_component": ids[1], "mission_type": kind}
+
+
 def count(
-    number: int, kind: int = FENCE, to: tuple[int, int] = OURS, source: tuple[int, int] = (1, 1)
+    number: int, kind: int = FENCE, ids: tuple[int, int] = OURS, source: tuple[int, int] = (1, 1)
 ) -> Any:
-    return over_the_wire(wire.MAVLink_mission_count_message(*to, number, kind), source)
+    return heard("MISSION_COUNT", source, count=number, **to(ids, kind))
 
 
-def item(seq: int, to: tuple[int, int] = OURS, radius: float = 50.0) -> Any:
-    numbers = (radius, 0.0, 0.0, math.nan, 474000000, 85000000 + seq, 0.0, FENCE)
-    return over_the_wire(wire.MAVLink_mission_item_int_message(*to, seq, 0, 5004, 0, 1, *numbers))
+def item(ids: tuple[int, int] = OURS, radius: float = 50.0) -> Any:
+    """The first of a fence."""
+    numbers = {"param1": radius, "param4": math.nan, "x": 474000000, "y": 85000000}
+    return heard("MISSION_ITEM_INT", command=5004, **numbers, **to(ids, FENCE))
 
 
 def begun(*answers: Any) -> PlanClient:
@@ -259,13 +263,13 @@ def radii(client: PlanClient) -> list[float]:
 
 def test_the_transfers_of_others_are_none_of_ours() -> None:
     client = begun()
-    others = [count(3, to=PERSON), count(3, to=(1, 191)), count(3, MISSION)]
+    others = [count(3, ids=PERSON), count(3, ids=(1, 191)), count(3, MISSION)]
     for message in (*others, count(3, source=(2, 1))):
         assert client.on_message(message, 0.1) == []
     assert asked(client.on_message(count(1), 0.1)) == [("MISSION_REQUEST_INT", 0)]
-    assert client.on_message(item(0, to=PERSON, radius=9.0), 0.2) == []
-    over, *_ = client.on_message(item(0), 0.3)
-    assert client.on_message(item(0), 0.3) == []  # one that comes twice counts once
+    assert client.on_message(item(PERSON, 9.0), 0.2) == []
+    over, *_ = client.on_message(item(), 0.3)
+    assert client.on_message(item(), 0.3) == []  # one that comes twice counts once
     assert (over.get_type(), over.type) == ("MISSION_ACK", wire.MAV_MISSION_ACCEPTED)
     assert radii(client) == [50.0]
 
@@ -275,7 +279,7 @@ def test_what_is_not_supported_is_done_and_denied_asked_again(is_supported: bool
     """Denied: somebody else is uploading."""
     client, answer = begun(), "DENIED" if is_supported else "UNSUPPORTED"
     result = getattr(wire, f"MAV_MISSION_{answer}")
-    refused = over_the_wire(wire.MAVLink_mission_ack_message(*OURS, result, FENCE))
+    refused = heard("MISSION_ACK", type=result, **to(OURS, FENCE))
     assert asked(client.on_message(refused, 0.1)) == [(LIST, RALLY)]
     for kind in (RALLY, MISSION):
         client.on_message(count(0, kind), 0.2)
@@ -294,7 +298,7 @@ def test_a_list_that_was_read_with_gaps_counts_when_it_is_read_twice_the_same() 
     for at_s, radius in ((0.1, 50.0), (2.0, 51.0), (4.0, 52.0), (6.0, 52.0)):
         client.on_message(count(1), at_s)
         client.on_time(at_s + 0.5)  # asked for again
-        client.on_message(item(0, radius=radius), at_s + 0.5)
+        client.on_message(item(radius=radius), at_s + 0.5)
         known.append(radii(client))
         for kind in (RALLY, MISSION):
             client.on_message(count(0, kind), at_s + 0.6)
@@ -305,7 +309,7 @@ def test_a_list_that_was_read_with_gaps_counts_when_it_is_read_twice_the_same() 
 
 def test_a_fence_that_is_empty_right_after_a_reboot_counts_when_it_is_still_empty_later() -> None:
     """An autopilot may answer before it has loaded its lists."""
-    client = begun(count(1), item(0), count(0, RALLY), count(0, MISSION))
+    client = begun(count(1), item(), count(0, RALLY), count(0, MISSION))
     client.refresh()
     looks_s = []
     for now_s in np.arange(1.0, 20.0, 0.1):
