@@ -109,11 +109,10 @@ def test_silence_and_arrival_explain_a_leap() -> None:
     arrived, silent = VehicleClock(0.0), VehicleClock(0.0)
     for each in (arrived, silent):
         each.read(60.0, 7.0)
-    assert arrived.read(90.0, 37.0) is READ.LATER  # a gap in a log, or a slow stream
-    assert arrived.read(97.0, 38.0) is READ.DOUBTED
     silent.on_silence(30.0, counts=True)
-    assert silent.read(90.0) is READ.LATER
-    assert silent.read(97.0) is READ.DOUBTED
+    # a gap in a log, or a slow stream, and then no more
+    assert [arrived.read(*at) for at in ((90.0, 37.0), (97.0, 38.0))] == [READ.LATER, READ.DOUBTED]
+    assert [silent.read(at_s) for at_s in (90.0, 97.0)] == [READ.LATER, READ.DOUBTED]
 
 
 def test_nothing_that_is_asked_for_goes_unread() -> None:

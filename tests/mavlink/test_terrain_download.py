@@ -144,6 +144,11 @@ def test_one_request_is_outstanding_until_its_report_or_its_answers_stop() -> No
     assert task.on_time(1.6) is None
     third = task.on_time(1.75)
     assert len({(each.lat, each.lon) for each in (first, second, third)}) == 3
+    silent = download(range_m=6000.0)
+    asked = [silent.on_time(tick / 10) for tick in range(50)]
+    assert sum(request is not None for request in asked) == 4
+    assert [silent.is_over(at_s) for at_s in (DEADLINE_S - 0.1, DEADLINE_S)] == [False, True]
+    assert (silent.answered, told(silent.scan())) == (0, set())
 
 
 def test_a_lost_block_alone_is_asked_for_twice_more_and_then_unknown_and_not_sheltered() -> None:
@@ -159,14 +164,6 @@ def test_a_lost_block_alone_is_asked_for_twice_more_and_then_unknown_and_not_she
     after, unknown = MAP.with_scan(scan), np.isnan(on_map(scan))
     assert np.isinf(after.upper_m[unknown]).all()
     assert not after.seen[unknown].any()
-
-
-def test_a_radar_that_is_silent_is_asked_once_a_second_until_the_scan_is_over() -> None:
-    silent = download(range_m=6000.0)
-    asked = [silent.on_time(tick / 10) for tick in range(50)]
-    assert [silent.is_over(at_s) for at_s in (DEADLINE_S - 0.1, DEADLINE_S)] == [False, True]
-    assert (silent.answered, sum(request is not None for request in asked)) == (0, 4)
-    assert told(silent.scan()) == set()
 
 
 def test_blocks_of_other_requests_not_asked_for_or_told_again_are_ignored() -> None:

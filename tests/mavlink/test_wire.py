@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from functools import partial
 from typing import Any, get_args
 
 import pytest
@@ -195,41 +196,28 @@ def test_places_are_amsl_and_on_earth_and_0_0_is_none(
         assert read(*place) is None
 
 
-def local_echo(
-    autopilot: Autopilot, origin_nea_m: Vector | None, *place: float, type_mask: int = 0
-) -> Any:
-    target = dict(zip("xyz", place, strict=True))
-    return event(
-        "POSITION_TARGET_LOCAL_NED", autopilot, origin_nea_m, type_mask=type_mask, **target
-    )
-
-
 @pytest.mark.parametrize("origin_nea_m", [(0.0, 0.0, 488.0), (-30_000.0, 20_000.0, 488.0)])
 @pytest.mark.parametrize("ne_m", [(0.0, 0.0), (300.0, -200.0), (9000.0, 4000.0), (-4e4, 3e4)])
-@pytest.mark.parametrize(
-    ("autopilot", "earth"), [(ARDUCOPTER, FlatEarth), (PX4_MULTICOPTER, Projection)]
-)
-def test_a_local_echo_is_read_on_the_autopilots_own_earth(
-    autopilot: Autopilot, earth: Any, origin_nea_m: Vector, ne_m: tuple[float, float]
+def test_a_local_echo_of_what_hovers_is_read_on_the_autopilots_own_earth(
+    origin_nea_m: Vector, ne_m: tuple[float, float]
 ) -> None:
-    there = earth(Place(*geodetic(*origin_nea_m[:2]), origin_nea_m[2])).place(*ne_m, 0.0)
-    read = local_echo(autopilot, origin_nea_m, *ne_m, -60.0)
-    latitude, longitude = geodetic(*read.position_nea_m[:2])
-    _, _, off_m = GEOD.inv(longitude, latitude, there[1], there[0])
-    assert off_m < 0.05
-    assert read.position_nea_m[2] == pytest.approx(548.0)
-
-
-@each
-def test_a_local_echo_needs_an_origin_hovering_and_numbers(autopilot: Autopilot) -> None:
-    place, origin_nea_m = (1.0, 2.0, -3.0), (0.0, 0.0, 488.0)
-    is_echo = local_echo(autopilot, origin_nea_m, *place) is not None
-    assert is_echo == (autopilot in HOVERING)
-    assert local_echo(autopilot, None, *place) is None
-    for bit in (1, 2, 4):
-        assert local_echo(autopilot, origin_nea_m, *place, type_mask=bit) is None
-    for bad in ((math.nan, 2.0, -3.0), (1.0, math.inf, -3.0), (1.0, 2.0, math.nan)):
-        assert local_echo(autopilot, origin_nea_m, *bad) is None
+    """It needs an origin, and numbers."""
+    target = {"x": ne_m[0], "y": ne_m[1], "z": -60.0}
+    for autopilot, earth in zip(ALL, (FlatEarth, None, Projection, None), strict=True):
+        read = partial(event, "POSITION_TARGET_LOCAL_NED", autopilot, **target)
+        bad = [
+            {axis: value} for axis, value in zip("xyz", (math.nan, math.inf, math.nan), strict=True)
+        ]
+        for fields in (*bad, *({"type_mask": bit} for bit in (1, 2, 4))):
+            assert read(origin_nea_m, **fields) is None
+        told = read(origin_nea_m)
+        assert read(None) is None
+        assert (told is None) == (earth is None)
+        if earth is not None:
+            there = earth(Place(*geodetic(*origin_nea_m[:2]), origin_nea_m[2])).place(*ne_m, 0.0)
+            latitude, longitude = geodetic(*told.position_nea_m[:2])
+            _, _, off_m = GEOD.inv(longitude, latitude, there[1], there[0])
+            assert (off_m < 0.05, told.position_nea_m[2]) == (True, pytest.approx(548.0))
 
 
 @each
