@@ -2,8 +2,9 @@
 
 import math
 import re
+from collections.abc import Mapping, Sequence
 from copy import copy
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from companion.mission.state import Phase, Reason
 from companion.session import Session
 from companion.world.known_map import empty_map
 from companion.world.near_map import NearSensor
+from vehicle_sim.plans import PlanItem as Stored
 
 COPTER, _, PX4, _ = MISSIONS
 KEY = bytes(range(32))
@@ -37,10 +39,14 @@ class Pair(Held):
         *,
         faults: str = "",
         parameters: dict[str, float] | None = None,
+        draws: Mapping[int, Sequence[Stored]] = MappingProxyType({}),
+        loses: str = "",
+        signs: bool = False,
         shadow: bool = True,
         has_key: bool = False,
         **changes: Any,
     ) -> None:
+        """draws: lists by kind; loses: what is lost on the way; signs: with KEY."""
         mission, way = replace(load_mission(name), **changes), FOUR[MISSIONS.index(name)]
         where = mission.frame.latitude_deg, mission.frame.longitude_deg
         world = level(*way, (*where, 488.0 if "px4" in name else 584.0))
@@ -50,13 +56,16 @@ class Pair(Held):
         self.end: Any = None
         self.frames: list[bytes] = []
         """Sent to the vehicle."""
-        self.loses: tuple[int, ...] = ()
-        """Messages that are lost on the way to the companion."""
+        self._lost = message_numbers(loses)
         super().__init__(*way, faults, world.model_copy(update={"vehicle": vehicle}))
+        for kind, items in draws.items():
+            self.draw(kind, *items)
+        if signs:
+            self.other(wire.MAVLink_setup_signing_message(1, 1, list(KEY), 10**13))
 
     def deliver(self, frame: bytes) -> None:
         """A plan is there as soon as it is asked for."""
-        if number_of(frame) in self.loses:
+        if number_of(frame) in self._lost:
             return
         self.session.receive(frame, self.now_s)
         out = self.session.run()
@@ -237,60 +246,38 @@ def changed(whole: Any, path: str, value: Any) -> Any:
         return other
 
 
-def says(check: str, status: str, words: str = "", change: Any = None, **keywords: Any) -> Any:
-    """What one of the checks says of a vehicle or mission that is not as it comes."""
-    return check, status, words, change or (lambda _: None), keywords
-
-
-def refuses(check: str, words: str = "", change: Any = None, **keywords: Any) -> Any:
-    return says(check, "refused", words, change, **keywords)
-
-
-def hides(kinds: str) -> Any:
-    return lambda it: setattr(it, "loses", message_numbers(kinds))
-
-
-def draws(*items: Any, kind: int = 1) -> Any:
-    return lambda it: it.draw(kind, *items)
-
-
-def signs(it: Pair) -> None:
-    it.other(wire.MAVLink_setup_signing_message(1, 1, list(KEY), 10**13))
-
-
-POSITIONS = "GLOBAL_POSITION_INT LOCAL_POSITION_NED"
-UNSAFE = {"COM_OBL_RC_ACT": 0.0}
+ON_TARGET = {1: [stored(5004, 60.0, 600.0, 100.0)]}
+AFTER_A_CIRCLE = {1: [stored(5004, 20.0, 300.0, -300.0), *polygon(3, size_m=30.0)]}
+WAYPOINTS = {0: [stored(16, 0.0, 300.0, 100.0), stored(16, 0.0, 500.0, 300.0)]}
+UNSAFE = {"parameters": {"COM_OBL_RC_ACT": 0.0}}
 """PX4 without a remote control that sinks when the stream stops (px4.md 6)."""
-ON_TARGET = draws(stored(5004, 60.0, 600.0, 100.0))
-AFTER_A_CIRCLE = draws(stored(5004, 20.0, 300.0, -300.0), *polygon(3, size_m=30.0))
-WAYPOINTS = draws(stored(16, 0.0, 300.0, 100.0), stored(16, 0.0, 500.0, 300.0), kind=0)
-THEIRS: dict[str, Any] = {"targets_from_vehicle": True, "targets_ne_m": ()}
-SETUPS = {
-    "nothing heard": refuses("vehicle", "none was heard", hides("HEARTBEAT")),
-    "another autopilot": refuses("vehicle", "vehicle.kind", autopilot="ardupilot"),
-    "parameter to be set": says("COM_OBL_RC_ACT", "note", parameters=UNSAFE),
-    "not set": refuses("COM_OBL_RC_ACT", "Set it to", parameters=UNSAFE, sets_parameters=False),
-    "no parameters": refuses("parameters", "not read: ", hides("PARAM_VALUE")),
-    "no plans": refuses("fence", "not read: ", hides("MISSION_COUNT MISSION_ACK")),
-    "no position": refuses("messages", "GLOBAL_POSITION_INT asked", hides(POSITIONS)),
-    "no GPS": refuses("position", faults="at 0 s: gps_off"),
-    "fence on a target": refuses("fence", "Move the target, or change the fence.", ON_TARGET),
-    "fence left out": says("fence", "note", change=ON_TARGET, fence_from_vehicle=False),
-    "polygon after a circle": says("fence", "note", "polygons before circles.", AFTER_A_CIRCLE),
-    "no targets": refuses("targets", **THEIRS),
-    "targets of its own": says("targets", "ok", "2 targets", WAYPOINTS, **THEIRS),
-    "no radar": refuses("radar", "component 77", scanner_component_id=77),
-    "signed, with its key": says("vehicle", "ok", "", signs, name=COPTER, has_key=True),
-    "signed, and no key": refuses("signing", "--signing-key", signs, name=COPTER),
+THEIRS = {"targets_from_vehicle": True, "targets_ne_m": ()}
+SIGNS = {"name": COPTER, "signs": True}
+NO_POSITION = {"loses": "GLOBAL_POSITION_INT LOCAL_POSITION_NED"}
+SETUPS: dict[str, tuple[str, str, str, Any]] = {  # what one of the checks says of a vehicle
+    "nothing heard": ("vehicle", "refused", "none was heard", {"loses": "HEARTBEAT"}),
+    "another autopilot": ("vehicle", "refused", "vehicle.kind", {"autopilot": "ardupilot"}),
+    "parameter to be set": ("COM_OBL_RC_ACT", "note", "", UNSAFE),
+    "not set": ("COM_OBL_RC_ACT", "refused", "Set it to", UNSAFE | {"sets_parameters": False}),
+    "no parameters": ("parameters", "refused", "not read: ", {"loses": "PARAM_VALUE"}),
+    "no plans": ("fence", "refused", "not read: ", {"loses": "MISSION_COUNT MISSION_ACK"}),
+    "no position": ("messages", "refused", "GLOBAL_POSITION_INT asked", NO_POSITION),
+    "no GPS": ("position", "refused", "", {"faults": "at 0 s: gps_off"}),
+    "fence on a target": ("fence", "refused", "or change the fence.", {"draws": ON_TARGET}),
+    "left out": ("fence", "note", "", {"draws": ON_TARGET, "fence_from_vehicle": False}),
+    "misread": ("fence", "note", "polygons before circles.", {"draws": AFTER_A_CIRCLE}),
+    "no targets": ("targets", "refused", "", THEIRS),
+    "targets of its own": ("targets", "ok", "2 targets", THEIRS | {"draws": WAYPOINTS}),
+    "no radar": ("radar", "refused", "component 77", {"scanner_component_id": 77}),
+    "signed, with its key": ("vehicle", "ok", "", SIGNS | {"has_key": True}),
+    "signed, and no key": ("signing", "refused", "--signing-key", SIGNS),
 }
 
 
 @pytest.mark.parametrize("setup", SETUPS)
 def test_what_fly_refuses_is_refused_here_and_the_other_way_round(setup: str) -> None:
-    check, status, words, change, keywords = SETUPS[setup]
+    check, status, words, keywords = SETUPS[setup]
     looked, flown = Pair(**keywords), Pair(**keywords, shadow=False)
-    change(looked)
-    change(flown)
     told, said = verdict(looked.looked_at(9.0).session, check)
     assert told == status
     assert words in said
