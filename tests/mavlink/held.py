@@ -1,6 +1,6 @@
 """A simulated vehicle with a client of the companion on its link."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Literal
 
 from recordings import recording
@@ -118,6 +118,11 @@ def stored(command: int, value: float, north_m: float, east_m: float, z_m: float
         y=round((HOME_DEG[1] + east_m / 75_300.0) * 1e7),
         z_m=z_m,
     )
+
+
+def placed(items: Iterable[Any]) -> list[tuple[int, float, int, int]]:
+    """What tells items of a list apart, of either side."""
+    return [(item.command, item.parameters[0], item.x, item.y) for item in items]
 
 
 def polygon(count: int, size_m: float = 100.0) -> Sequence[Stored]:

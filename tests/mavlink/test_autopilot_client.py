@@ -4,40 +4,37 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from held import Held, polygon, stored, waypoints
+from held import FOUR, MISSIONS, Held, placed, polygon, stored, waypoints
 from wires import assert_told, heard, over_the_wire
 
 from companion.config import load_mission
 from companion.mavlink.autopilot_client import AutopilotClient
-from companion.mavlink.autopilots import ARDUCOPTER, PX4_MULTICOPTER, Autopilot, px4
+from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_MULTICOPTER, Autopilot, px4
 from companion.mavlink.dialect import EventMessage, codec, wire
 from companion.mavlink.frames import Receiver
+from companion.mavlink.parameter_client import ANSWER_S
+from companion.mavlink.plan_client import FENCE, MISSION, RALLY
 from companion.mission import checkpoint, events
 from companion.mission.decisions import Context
 from companion.mission.events import FenceChanged, FenceReading, Item
-from companion.mission.mission import Mission
 from companion.mission.state import State
 
-FENCE = 1
-AUTOPILOTS = {"ardupilot": ARDUCOPTER, "px4": PX4_MULTICOPTER}
-NAMES = {"ardupilot": "sitl-arducopter", "px4": "sitl-px4"}
-both = pytest.mark.parametrize("firmware", NAMES)
+COPTER, PX4 = FOUR[0], FOUR[2]
 
 
-def context(mission: Mission | None = None, *, shadow: bool = True) -> Context:
-    mission = mission or load_mission("sitl-px4")
+def context(name: str = "sitl-px4", *, shadow: bool = True, **changes: Any) -> Context:
+    mission = replace(load_mission(name), **changes)
     return Context(mission=mission, seed=1, lockstep=True, shadow=shadow)
 
 
 class Side(Held):
     """A vehicle, its client, and the events that it tells."""
 
-    def __init__(
-        self, firmware: Any, mission: Mission | None = None, *, sets: bool = False
-    ) -> None:
-        super().__init__(firmware)
-        of = context(mission or load_mission(NAMES[firmware]), shadow=not sets)
-        self.side = AutopilotClient(of, 1, AUTOPILOTS[firmware])
+    def __init__(self, way: Any, *, sets: bool = False, **changes: Any) -> None:
+        super().__init__(*way)
+        number = FOUR.index(way)
+        of = context(MISSIONS[number], shadow=not sets, **changes)
+        self.side = AutopilotClient(of, 1, ALL[number])
         self.client, self.hears_home = self, True
         self.events: list[Any] = []
 
@@ -66,9 +63,54 @@ class Side(Held):
         return self
 
 
-@both
-def test_a_fence_that_has_changed_is_told_before_it_is_read(firmware: str) -> None:
-    it = Side(firmware).until_prepared()
+SETS = {
+    "ardupilot": {"FENCE_TYPE": 3.0, "FENCE_RADIUS": 212.5},
+    "px4": {"COM_OBL_RC_ACT": 5.0, "COM_OF_LOSS_T": 0.7, "COM_RCL_EXCEPT": -1.0},
+}
+FAULTS = {  # and within what time all is there
+    "link_loss 0 %": 8.0,
+    "link_loss 25 %": 60.0,
+    "link_delay 700 ms": 90.0,
+    "link_duplication 50 %": 15.0,
+    "for 19 s: link_off": 40.0,
+}
+
+
+@pytest.mark.sample(5)
+@pytest.mark.parametrize("way", FOUR, ids=" ".join)
+@pytest.mark.parametrize("fault", FAULTS)
+def test_all_comes_whole_and_what_is_set_is_read_back(way: Any, fault: str) -> None:
+    """A silent link is not flooded, and changes no list."""
+    it, sets = Side(way), SETS[way[0]]
+    client, plans, there = it.side.parameters, it.side.plans, it.simulation.parameters
+    known = {name: there[name] for name in client.waiting if name in there}
+    rally = [stored(5100, 0.0, -100.0 * k, 30.0) for k in range(3)]
+    lists = {FENCE: polygon(40), MISSION: waypoints(9), RALLY: rally}
+    for kind, items in lists.items():
+        it.draw(kind, *items)
+    it.simulation.add_fault(fault)
+    assert it.run(120.0, until=lambda: client.is_done and plans.is_done) < FAULTS[fault]
+    assert client.values == pytest.approx(known, rel=1e-6)
+    read_s = [at_s for at_s, m in it.sent if at_s < 20.0 and m.get_type() == "PARAM_REQUEST_READ"]
+    for at_s in read_s if "link_off" in fault else ():
+        assert sum(at_s <= other < at_s + ANSWER_S - 0.02 for other in read_s) <= 6
+    for name, value in sets.items():
+        client.set(name, value)
+    it.run(30.0, until=lambda: client.is_done)
+    assert (client.is_done, client.failed_sets) == (True, {})
+    for values in (client.values, there):
+        assert {name: values[name] for name in sets} == pytest.approx(sets)
+    it.simulation.add_fault("for 30 s: link_off")
+    it.run(30.0)
+    for kind, items in lists.items():
+        begin = int(kind == MISSION and way[0] == "ardupilot")  # item 0 is home there
+        assert placed(plans.plans[kind].items)[begin:] == placed(items)[begin:]
+    assert [plans.plans[kind].version for kind in lists] == [1, 1, 1]
+
+
+@pytest.mark.parametrize("way", [COPTER, PX4], ids=" ".join)
+def test_a_fence_that_has_changed_is_told_before_it_is_read(way: Any) -> None:
+    it = Side(way).until_prepared()
     for items, size_m in ((40, 100.0), (60, 100.0), (60, 140.0)):  # the last: as many, elsewhere
         it.events.clear()
         it.draw(FENCE, *polygon(items, size_m=size_m))
@@ -83,7 +125,7 @@ def test_a_fence_that_has_changed_is_told_before_it_is_read(firmware: str) -> No
 
 def test_plans_are_not_done_before_a_fence_about_home_is_drawn() -> None:
     """Else a vehicle whose home is heard last arms before its fence is held against the mission."""
-    it = Side("ardupilot")
+    it = Side(COPTER)
     for name, value in (("FENCE_ENABLE", 1.0), ("FENCE_TYPE", 2.0), ("FENCE_RADIUS", 60.0)):
         it.simulation.set_parameter(name, value)
     it.hears_home = False
@@ -94,7 +136,7 @@ def test_plans_are_not_done_before_a_fence_about_home_is_drawn() -> None:
 
 
 def test_the_fence_that_is_known_stays_in_force_while_it_is_read_anew() -> None:
-    it = Side("px4")
+    it = Side(PX4)
     it.simulation.set_parameter("GF_MAX_HOR_DIST", 400.0)
     it.draw(FENCE, *polygon(7))
     it.run(8.0)
@@ -158,7 +200,7 @@ def test_who_keeps_setting_a_parameter_back_is_said_once_and_not_fought_for_ever
     times: int, each_s: float, ends_as: float
 ) -> None:
     """COM_OBL_RC_ACT is to be 5; a ground station sets it back to 0."""
-    it = Side("px4", sets=True)
+    it = Side(PX4, sets=True)
     it.run(30.0, until=lambda: it.simulation.parameters["COM_OBL_RC_ACT"] == 5.0)
     it.run(3.0)
     for _ in range(times):
@@ -174,7 +216,7 @@ def test_who_keeps_setting_a_parameter_back_is_said_once_and_not_fought_for_ever
 
 
 def test_what_could_not_be_set_is_refused_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    it = Side("px4", sets=True)
+    it = Side(PX4, sets=True)
     it.simulation.set_parameter("COM_OBL_RC_ACT", 0.0)
     say = it.say
     monkeypatch.setattr(
@@ -191,7 +233,7 @@ def test_by_another_clock_the_same_is_asked_at_the_same_moments(shift_s: float) 
     """As after a restart in flight: the clock of before goes on until the vehicle's is heard."""
     asked = []
     for shifted_s in (0.0, shift_s):
-        it = Side("ardupilot")
+        it = Side(COPTER)
         it.run(1.0)
         it.side.rebase_time(shifted_s)
         now_s = it.now_s + shifted_s
@@ -212,10 +254,10 @@ def ack(command: int, result: int) -> Any:
 
 def plane_told_its_speed() -> tuple[AutopilotClient, Any]:
     """An ArduPlane in guided mode, and the command, whose first frame may have been lost."""
-    mission = load_mission("sitl-arduplane")
-    side: Any = AutopilotClient.found(beat(), context(mission))
+    of = context("sitl-arduplane")
+    side: Any = AutopilotClient.found(beat(), of)
     side.streams.begin(0.0)
-    state = State.of(mission, checkpoint.blank_map(mission))
+    state = State.of(of.mission, checkpoint.blank_map(of.mission))
     [told] = side.command_messages(events.SetSpeed(speed_m_s=22.0), state)
     return side, told
 
@@ -265,7 +307,7 @@ def test_it_is_armed_and_disarmed_without_force_and_a_take_off_is_taken_once_acc
 
 def test_how_the_vehicles_own_mission_ends_is_not_passed_over_in_silence() -> None:
     """The companion ends as its own mission says: who has drawn an RTL has to hear of it."""
-    it = Side("ardupilot", replace(load_mission("sitl-arducopter"), targets_from_vehicle=True))
-    it.draw(0, *waypoints(3), stored(20, 0.0, 0.0, 0.0))
+    it = Side(COPTER, targets_from_vehicle=True)
+    it.draw(MISSION, *waypoints(3), stored(20, 0.0, 0.0, 0.0))
     said = it.until_prepared().side.notes
     assert said == ["its mission ends with return; what counts is end.action: land"]
