@@ -9,7 +9,7 @@ from wires import assert_told, heard, over_the_wire
 
 from companion.config import load_mission
 from companion.mavlink.autopilot_client import AutopilotClient
-from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_MULTICOPTER, Autopilot, px4
+from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_MULTICOPTER, px4
 from companion.mavlink.dialect import EventMessage, codec, wire
 from companion.mavlink.frames import Receiver
 from companion.mavlink.parameter_client import ANSWER_S
@@ -164,9 +164,9 @@ def text(said: str) -> Any:
     return heard("STATUSTEXT", text=said.encode())
 
 
-@pytest.mark.parametrize(
-    ("autopilot", "message", "breach"),
-    [
+def test_a_breach_is_what_autopilots_say_of_one() -> None:
+    assert px4.event_id("check_modes_offboard_signal") == 3087815  # as recorded (px4.md 6)
+    for autopilot, message, is_breach in (
         (ARDUCOPTER, text("Polygon fence breached"), True),
         (ARDUCOPTER, text("Max Alt and Circle fences breached"), True),
         (ARDUCOPTER, text("Fence upload timeout"), False),
@@ -177,22 +177,14 @@ def text(said: str) -> Any:
         (PX4_MULTICOPTER, px4_event("check_gf_violation_custom_gf"), True),
         (PX4_MULTICOPTER, px4_event("check_modes_offboard_signal"), False),
         (ARDUCOPTER, px4_event("check_gf_violation"), False),
-    ],
-)
-def test_what_autopilots_say_of_a_breach(autopilot: Autopilot, message: Any, breach: bool) -> None:
-    told = AutopilotClient(context(), 1, autopilot).event_of(message, 7.0)
-    assert told == (events.FenceBreach(time_s=7.0) if breach else None)
-    assert px4.event_id("check_modes_offboard_signal") == 3087815  # as recorded (px4.md 6)
-
-
-def test_fence_status_tells_of_each_breach_once() -> None:
-    side = AutopilotClient(context(), 1, ARDUCOPTER)
-    states = [(0, 0), (1, 1), (1, 1), (0, 1), (1, 2)]
-    told = [
-        side.event_of(heard("FENCE_STATUS", breach_status=now, breach_count=count), 1.0)
-        for now, count in states
-    ]
-    assert [event is not None for event in told] == [False, True, False, False, True]
+    ):
+        told = AutopilotClient(context(), 1, autopilot).event_of(message, 7.0)
+        assert told == (events.FenceBreach(time_s=7.0) if is_breach else None), message
+    side, told_of = AutopilotClient(context(), 1, ARDUCOPTER), []
+    for breached, count in ((0, 0), (1, 1), (1, 1), (0, 1), (1, 2)):  # each once
+        message = heard("FENCE_STATUS", breach_status=breached, breach_count=count)
+        told_of.append(side.event_of(message, 1.0) is not None)
+    assert told_of == [False, True, False, False, True]
 
 
 @pytest.mark.parametrize(("times", "each_s", "ends_as"), [(1, 12.0, 5.0), (6, 9.0, 0.0)])

@@ -20,7 +20,6 @@ from companion.mavlink.autopilots.messages import position
 from companion.mavlink.near_scanner import ATTITUDE, OF_AUTOPILOT, NearScanner
 from companion.mavlink.near_sensing import NearSensing
 from companion.mavlink.poses import Poses
-from companion.mission.events import ScanDone
 from companion.mission.state import State
 from companion.world.known_map import Lattice
 from companion.world.near_map import NearMap, NearSensor, Sight
@@ -63,21 +62,16 @@ class Standing:
         self.poses.on_position(self.now_s, self.here_nea_m)
         return self.scanner.seen(self.now_s)
 
-    def begin(self) -> None:
+    def scan(self, *, thing: bool = True, takes: bool = True) -> None:
+        """One sweep is enough; takes: the mission puts it on its map."""
         self.scanner.begun(self.here_nea_m, self.state, self.now_s)
-
-    def done(self, *, takes: bool = True) -> ScanDone:
-        """A scan that is over; takes: the mission puts it on its map."""
+        self.run(thing=thing)
         done = self.scanner.done(self.now_s)
+        assert done is not None
+        assert done.answered == 1
         if takes:
             known = self.state.flight.known.with_scan(done.scan)
             self.state = changed(self.state, flight=changed(self.state.flight, known=known))
-        return done
-
-    def scan(self, *, thing: bool = True, takes: bool = True) -> None:
-        self.begin()
-        self.run(thing=thing)
-        assert self.done(takes=takes).answered == 1
 
     def upper_m(self, north_m: float) -> float:
         known = self.state.flight.known
@@ -98,7 +92,6 @@ def test_a_scan_puts_on_the_map_what_is_free_what_is_closed_and_nothing_else() -
 
 def test_a_later_scan_takes_back_what_is_not_free_any_more_and_frees_what_has_gone() -> None:
     it = Standing(thing=False)
-    it.begin()
     it.scan()
     it.run(10)
     it.scan()
@@ -125,14 +118,14 @@ def test_a_scan_waits_for_a_new_sweep_and_no_longer_than_it_may_and_changes_noth
     it = Standing()
     it.scan()
     before = it.state.flight.known
-    it.begin()
+    it.scanner.begun(it.here_nea_m, it.state, it.now_s)
     for wait_s in (0.0, 0.05):
         it.move_on(wait_s)
         assert it.scanner.done(it.now_s) is None
     it.move_on(1.0)
-    done = it.done()
+    done: Any = it.scanner.done(it.now_s)
     assert (done.asked, done.answered) == (1, 0)
-    np.testing.assert_array_equal(it.state.flight.known.upper_m, before.upper_m)
+    np.testing.assert_array_equal(before.with_scan(done.scan).upper_m, before.upper_m)
 
 
 def test_a_healthy_sensor_of_the_autopilot_that_sees_nothing_has_answered() -> None:
@@ -142,9 +135,11 @@ def test_a_healthy_sensor_of_the_autopilot_that_sees_nothing_has_answered() -> N
     scanner = NearScanner(of, Poses(of.frame))
     for now_s, well, sight in ((100.0, 1, Sight.NOTHING_THERE), (105.0, 0, Sight.NEVER_HEARD)):
         scanner.on_message(health(well=bool(well)), now_s)
-        assert scanner.seen(now_s).sight is sight
+        seen: Any = scanner.seen(now_s)
+        assert seen.sight is sight
         scanner.begun((20.0, 20.0, 405.0), State.of(of, MISSION.known), now_s)
-        assert scanner.done(now_s + 1.0).answered == well
+        done: Any = scanner.done(now_s + 1.0)
+        assert done.answered == well
 
 
 @pytest.mark.parametrize("clock_s", [None, 2.0], ids=["runs on", "begins anew"])

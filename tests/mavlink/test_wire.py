@@ -97,15 +97,14 @@ def test_a_setpoint_is_a_true_place_amsl_velocity_and_nose_with_its_mask(
         )
 
 
-@pytest.mark.parametrize(
-    ("stay", "wanted_m", "circle_m"),
-    [(False, 100.0, 10.0), (True, 100.0, 80.0), (True, 30.0, 15.0), (True, 0.0, 60.0)],
-)
-def test_an_arduplane_is_repositioned(stay: bool, wanted_m: float, circle_m: float) -> None:
+def test_an_arduplane_is_repositioned() -> None:
     """It follows with a small circle, and stays on a wide one (ardupilot.md 7)."""
-    message = sent(ARDUPLANE.setpoint(made(stay=stay), TO, wanted_m))
-    assert_told(message, "COMMAND_INT", command=192, param3=circle_m, **THERE)
-    assert message.param2 == 0.0  # bit 0 would switch to GUIDED
+    following, staying = {100.0: 10.0}, {100.0: 80.0, 30.0: 15.0, 0.0: 60.0}
+    for stay, circles_m in ((False, following), (True, staying)):
+        for wanted_m, circle_m in circles_m.items():
+            message = sent(ARDUPLANE.setpoint(made(stay=stay), TO, wanted_m))
+            assert_told(message, "COMMAND_INT", command=192, param3=circle_m, **THERE)
+            assert message.param2 == 0.0  # bit 0 would switch to GUIDED
 
 
 @each
@@ -249,9 +248,8 @@ def test_an_estimator_is_good_while_it_takes_its_measurements(autopilot: Autopil
 # --- who it is, modes and commands
 
 
-@pytest.mark.parametrize(
-    ("autopilot", "kind", "expected", "words"),
-    [
+def test_which_autopilot() -> None:
+    for autopilot, kind, expected, words in (
         *((3, kind, ARDUCOPTER, "ArduCopter") for kind in (2, 13, 4)),
         (3, 1, ARDUPLANE, "ArduPlane"),
         *((12, kind, PX4_MULTICOPTER, "PX4 multicopter") for kind in (2, 14)),
@@ -260,12 +258,10 @@ def test_an_estimator_is_good_while_it_takes_its_measurements(autopilot: Autopil
         (3, 10, None, "ardupilotmega, ground_rover"),
         (8, 6, None, "invalid, gcs"),
         (200, 201, None, "MAV_AUTOPILOT 200, MAV_TYPE 201"),
-    ],
-)
-def test_which_autopilot(autopilot: int, kind: int, expected: Autopilot | None, words: str) -> None:
-    beat = heard("HEARTBEAT", type=kind, autopilot=autopilot)
-    assert (autopilot_of(beat), described(beat)) == (expected, words)
-    assert expected is None or words in NAMES
+    ):
+        beat = heard("HEARTBEAT", type=kind, autopilot=autopilot)
+        assert (autopilot_of(beat), described(beat)) == (expected, words)
+        assert expected is None or words in NAMES
     assert {each.name for each in FIRMWARES} == set(get_args(AutopilotName))
 
 
