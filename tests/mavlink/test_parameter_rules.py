@@ -1,23 +1,22 @@
 """Rules about parameters: against what was measured, the simulator's defaults, bundled missions."""
 
 import math
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import pytest
-from held import FOUR, HOME_DEG, Firmware, Held, Kind
+from held import FOUR, Firmware, Held, Kind
 from hypothesis import given
 from hypothesis import strategies as st
 from planning import limits
 
 from companion.config import bundled, load_mission
-from companion.geodesy import LocalFrame
 from companion.mavlink.autopilots import ALL
 from companion.mavlink.rules import Finding, findings_of
-from companion.mission.mission import EndAction, Mission
+from companion.mission.mission import Mission
 from companion.path.envelope import flown_on_m
-from companion.planner.settings import PlannerSettings, Task
 from companion.world.near_map import NearSensor
 from vehicle_sim.autopilot.factory import personality_of
 from vehicle_sim.simulation import Simulation
@@ -44,16 +43,9 @@ VALUES |= {"floor_amsl_m": 500.0, "ceiling_amsl_m": 660.0}
 
 def mission(kind: Kind = "copter", near: NearSensor | None = None, **changes: float) -> Mission:
     """For a usual vehicle with the defaults of its autopilot."""
-    settings = PlannerSettings(scan_range_m=1500.0, safety_distance_m=40.0, planning_time_s=3.0)
-    return Mission(
-        name="test",
-        frame=LocalFrame(latitude_deg=HOME_DEG[0], longitude_deg=HOME_DEG[1]),
-        targets_ne_m=((1000.0, 0.0),),
-        task=Task(limits=limits(**(VALUES | KINDS[kind] | changes)), settings=settings),
-        end_action=EndAction.HOLD,
-        sets_parameters=True,
-        near=near,
-    )
+    of = load_mission(f"sitl-ardu{kind}")
+    task = replace(of.task, limits=limits(**(VALUES | KINDS[kind] | changes)))
+    return replace(of, task=task, near=near)
 
 
 def found(way: Way, values: Values, of: Mission | None = None, *more: Any) -> dict[str, Finding]:
