@@ -54,44 +54,42 @@ MEANINGS = {UNKNOWN: 0.0, 0: 0.0, 19: 0.0, 20: 0.2, 500: 5.0, 1999: 19.99, 2000:
 """Centimetres between 20 and 2000, and how far it is clear.  What is as far as the sensor sees may
 be nothing, or a wrong "nothing": it says nothing."""
 NORTH = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_LOCAL_NED)
+FRAMES = (wire.MAV_FRAME_BODY_FRD, wire.MAV_FRAME_BODY_NED, *NORTH)
+WIDTHS_DEG = [*({"increment": width} for width in (1, 3, 10, 90, 255)), {"increment_f": -7.0}]
+WIDTHS_DEG += [{"increment": 7, "increment_f": width} for width in (5.0, 2.5, -5.0)]
 angles_deg = st.floats(-180.0, 180.0, width=32)
+distances_cm = st.lists(st.sampled_from([*MEANINGS]), min_size=72, max_size=72)
 
 
 @given(
-    told_cm=st.lists(st.sampled_from([*MEANINGS]), min_size=72, max_size=72),
-    width_deg=st.sampled_from([5.0, -5.0, 3.0, 2.5, -7.0, 10.0, 90.0, 255.0]),
-    offset_deg=angles_deg,
-    frame=st.sampled_from([wire.MAV_FRAME_BODY_FRD, wire.MAV_FRAME_BODY_NED, *NORTH]),
-    yaw_deg=angles_deg,
-    mounted_deg=angles_deg,
-    in_whole=st.booleans(),
+    distances_cm,
+    st.sampled_from(WIDTHS_DEG),
+    st.sampled_from(FRAMES),
+    st.tuples(angles_deg, angles_deg, angles_deg),
 )
 def test_each_sector_says_how_far_it_is_clear_about_its_own_direction(
-    told_cm: list[int], width_deg: float, offset_deg: float, frame: int, yaw_deg: float,
-    mounted_deg: float, in_whole: bool,
-) -> None:  # fmt: skip
+    told_cm: list[int], width: dict[str, Any], frame: int, angles: tuple[float, float, float]
+) -> None:
     """Of the nose, as it is mounted, or of true north; more than a turn of them is left out."""
-    in_whole = in_whole and width_deg > 0.0 and width_deg % 1.0 == 0.0
-    widths = {"increment": int(width_deg)} if in_whole else {"increment_f": width_deg}
-    fields = {**widths, "angle_offset": offset_deg, "frame": frame}
-    yaw_rad, mounted_rad = math.radians(yaw_deg), math.radians(mounted_deg)
-    sensor = replace(LIDAR, yaw_rad=mounted_rad, forward_m=0.5, right_m=0.2)
-    sweep = read(obstacle_distance(told_cm, **fields), standing(yaw_rad), sensor)
+    yaw_deg, mounted_deg, offset_deg = angles
+    width_deg = width.get("increment_f", width.get("increment", 0.0))
+    turn = math.radians(yaw_deg)
+    sensor = replace(LIDAR, yaw_rad=math.radians(mounted_deg), forward_m=0.5, right_m=0.2)
+    message = obstacle_distance(told_cm, **width, angle_offset=offset_deg, frame=frame)
+    sweep = read(message, standing(turn), sensor)
     first_deg = offset_deg + (0.0 if frame in NORTH else yaw_deg + mounted_deg)
     count = min(72, int(360.0 // abs(width_deg)))
     for k in range(count):
         bearings = (first_deg + (k + aside) * width_deg for aside in (-0.49, 0.0, 0.49))
         assert clear_m(sweep, *bearings) == [MEANINGS[told_cm[k]]] * 3
     if left_deg := 360.0 - count * abs(width_deg):
-        behind_deg = (
-            first_deg + width_deg * (count - 0.5) + math.copysign(0.5 * left_deg, width_deg)
-        )
-        assert clear_m(sweep, behind_deg) == [0.0]
+        half_deg = math.copysign(0.5 * (abs(width_deg) + left_deg), width_deg)
+        assert clear_m(sweep, first_deg - half_deg) == [0.0]
     echoes = sum(told in (20, 500, 1999) for told in told_cm[:count])
     assert np.isfinite(sweep.echo_m).sum() == echoes
-    ahead, aside = np.exp(1j * yaw_rad), 1j * np.exp(1j * yaw_rad)  # north + j east
-    place = complex(3.0, 4.0) + 0.5 * ahead + 0.2 * aside
-    assert sweep.sensor_ne_m == pytest.approx((place.real, place.imag))
+    north_m = 3.0 + 0.5 * math.cos(turn) - 0.2 * math.sin(turn)
+    east_m = 4.0 + 0.5 * math.sin(turn) + 0.2 * math.cos(turn)
+    assert sweep.sensor_ne_m == pytest.approx((north_m, east_m))
 
 
 def test_a_tilted_beam_says_nothing_of_what_lies_beyond_its_slab() -> None:
