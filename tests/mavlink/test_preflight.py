@@ -13,11 +13,12 @@ from held import FOUR, MISSIONS, Held, level, polygon, stored
 from random_programs import message_numbers
 from renewed import replace
 from scripted_vehicle import straight_plan
+from wires import heard
 
 from companion.config import load_mission
 from companion.mavlink.dialect import codec, wire
 from companion.mavlink.frames import number_of
-from companion.mavlink.preflight import Check, CheckStatus, checks_of, waiting_for
+from companion.mavlink.preflight import CheckStatus, checks_of, waiting_for
 from companion.mavlink.signing import Signing
 from companion.mission.events import Outcome
 from companion.mission.state import Phase, Reason
@@ -87,13 +88,9 @@ class Pair(Held):
         return self.session.state.phase in (Phase.ARMING, Phase.TAKING_OFF)
 
 
-def named(session: Any, name: str) -> list[Check]:
-    return [each for each in checks_of(session) if each.name.split(" = ")[0] == name]
-
-
 def verdict(session: Any, name: str) -> tuple[str, str]:
     """The worst status of the checks of this name, and what is said, with the remedies."""
-    found = named(session, name)
+    found = [each for each in checks_of(session) if each.name.split(" = ")[0] == name]
     worst = max((check.status for check in found), key=list(CheckStatus).index)
     return worst.value, " ".join(f"{check.what}. {check.remedy}" for check in found)
 
@@ -106,10 +103,8 @@ def refused(session: Any) -> list[str]:
 def looked() -> Pair:
     """A PX4 multicopter that may fly, looked at; a lidar and a radar of other ids are heard."""
     it = Pair().looked_at()
-    sweep = wire.MAVLink_obstacle_distance_message(0, 0, [500] * 72, 5, 20, 1600)
-    heights = wire.MAVLink_terrain_data_message(0, 0, 100, 0, [0] * 16)
-    for message, ids in ((sweep, (1, 191)), (heights, (2, 101))):
-        it.deliver(message.pack(wire.MAVLink(None, srcSystem=ids[0], srcComponent=ids[1])))
+    for name, ids in (("OBSTACLE_DISTANCE", (1, 191)), ("TERRAIN_DATA", (2, 101))):
+        it.deliver(bytes(heard(name, ids).get_msgbuf()))
     return it
 
 
@@ -137,9 +132,8 @@ def test_a_vehicle_that_may_fly_is_only_asked_and_passes_and_each_line_names_wha
 
 
 def beat(system: int, component: int, kind: int = 2, autopilot: int = 12) -> bytes:
-    sender = wire.MAVLink(None, srcSystem=system, srcComponent=component)
-    frame: bytes = wire.MAVLink_heartbeat_message(kind, autopilot, 81, 0, 4, 3).pack(sender)
-    return frame
+    message = heard("HEARTBEAT", (system, component), type=kind, autopilot=autopilot)
+    return bytes(message.get_msgbuf())
 
 
 @pytest.mark.parametrize(
