@@ -30,7 +30,6 @@ def level(
     firmware: Firmware,
     kind: Kind = "copter",
     home: tuple[float, float, float] = (*HOME_DEG, HOME_M),
-    **changes: Any,
 ) -> World:
     """Level ground about a home; degrees and metres AMSL."""
     latitude, longitude, altitude_m = home
@@ -41,7 +40,6 @@ def level(
         longitude_deg=longitude,
         altitude_amsl_m=altitude_m,
         heading_deg=0.0,
-        **changes,
     )
 
 

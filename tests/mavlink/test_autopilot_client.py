@@ -269,13 +269,11 @@ def test_a_plane_is_told_its_speed_until_it_answers_or_somebody_else_flies_it() 
         assert times_told(side, 10.0 * number) == 10
     side.rebase_time(-595.0)  # by another clock from now on
     assert times_told(side, 40.0 - 595.0) == 10
+    refused = ["the autopilot does not take the mission's speed"]
     for ends, notes in (
         (beat(wire.PLANE_MODE_LOITER), []),
         (ack(told.command, wire.MAV_RESULT_ACCEPTED), []),
-        (
-            ack(told.command, wire.MAV_RESULT_DENIED),
-            ["the autopilot does not take the mission's speed"],
-        ),
+        (ack(told.command, wire.MAV_RESULT_DENIED), refused),
     ):
         side, _ = plane_told_its_speed()
         side.event_of(ends, 0.5)
