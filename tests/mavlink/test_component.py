@@ -108,6 +108,7 @@ def test_what_is_ordered_and_answered(kind: OrderKind | None, result: int | None
         assert answer.order == order
         assert bool(answer.text) is (result == DENIED and message.command in ORDERS)
         assert len(answer.text) <= 60
+        assert not answer.text or sender in ("255/190", answer.text.split()[0])
         is_noted = result is not None and (message.target_system, message.target_component) == OURS
         assert (answer.note or {}).get("sender") == (sender if is_noted else None)
 
