@@ -90,17 +90,6 @@ def test_a_scan_puts_on_the_map_what_is_free_what_is_closed_and_nothing_else() -
     assert {north_m: it.upper_m(north_m) for north_m in expected} == expected
 
 
-def test_a_later_scan_takes_back_what_is_not_free_any_more_and_frees_what_has_gone() -> None:
-    it = Standing(thing=False)
-    it.scan()
-    it.run(10)
-    it.scan()
-    assert it.upper_m(20.0 + THING_M) > CEILING_AMSL_M
-    it.run(40, thing=False)
-    it.scan(thing=False)
-    assert it.upper_m(20.0 + THING_M) == GROUND_AMSL_M
-
-
 def test_what_a_scan_told_that_nobody_took_is_told_again() -> None:
     """As after a stop in the moment of a scan; from where it is next, nothing of it is seen."""
     one, other = Standing(), Standing()

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from held import FOUR, Held, placed, polygon, recorded, stored, waypoints
+from held import Held, polygon, recorded, waypoints
 from hypothesis import given
 from hypothesis import strategies as st
 from wires import heard
@@ -108,22 +108,6 @@ def test_a_value_that_comes_late_counts_and_after_a_reboot_all_are_asked_for() -
 
 
 # --- lists
-
-
-@pytest.mark.sample(5)
-@pytest.mark.parametrize("way", FOUR, ids=" ".join)
-@pytest.mark.parametrize("waited_s", [0.0, 1.3, 2.9, 4.4])
-def test_a_fence_that_is_drawn_in_flight_is_known_within_10_s(way: Any, waited_s: float) -> None:
-    held, circles = Held(*way), [stored(5004, 80.0, 500.0, east_m) for east_m in (0.0, 40.0)]
-    plans = held.client = PlanClient(1)
-    held.draw(FENCE, *polygon(5))
-    held.run(10.0 + waited_s)
-    for circle in ((circles[0],), (circles[1],), None):  # more; as many, elsewhere; none
-        fence = [] if circle is None else [*polygon(5), *circle]
-        held.draw(FENCE, *fence)
-        wanted = placed(fence)
-        assert held.run(20.0, lambda wanted=wanted: placed(plans.plans[FENCE].items) == wanted) < 10
-    assert plans.plans[FENCE].version == 4
 
 
 @pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
