@@ -30,10 +30,9 @@ THING_M = 5.0
 GROUND_AMSL_M, CEILING_AMSL_M, RANGE_M = 400.5, 408.0, 16.0
 
 
-def sweep(time_s: float, *, thing: bool = True, component: int = 196, **fields: Any) -> Any:
+def sweep(time_s: float, *, component: int = 196, **fields: Any) -> Any:
     told = [1601] * 72
-    if thing:
-        told[71] = told[0] = told[1] = round(100.0 * THING_M)
+    told[71] = told[0] = told[1] = round(100.0 * THING_M)
     values = {"distances": told, "increment_f": 5.0, **fields}
     return obstacle_distance(time_s, reach_cm=1600, source=(1, component), **values)
 
@@ -41,18 +40,18 @@ def sweep(time_s: float, *, thing: bool = True, component: int = 196, **fields: 
 class Standing:
     """A scanner on a vehicle that stands still, at 10 Hz, and the map of its mission."""
 
-    def __init__(self, sweeps: int = 20, *, thing: bool = True) -> None:
+    def __init__(self) -> None:
         assert MISSION.known is not None
         self.poses, self.state = Poses(MISSION.frame), State.of(MISSION, MISSION.known)
         self.scanner = NearScanner(MISSION, self.poses)
         self.now_s, self.here_nea_m = 100.0, (20.0, 20.0, 405.0)
-        self.run(sweeps, thing=thing)
+        self.run(20)
 
-    def run(self, count: int = 1, *, thing: bool = True, **fields: Any) -> list[Any]:
+    def run(self, count: int = 1, **fields: Any) -> list[Any]:
         """So many sweeps, and a position after each; what it has seen."""
         told = []
         for _ in range(count):
-            self.scanner.on_message(sweep(self.now_s, thing=thing, **fields), self.now_s)
+            self.scanner.on_message(sweep(self.now_s, **fields), self.now_s)
             told.append(self.move_on())
         return told
 
@@ -62,10 +61,10 @@ class Standing:
         self.poses.on_position(self.now_s, self.here_nea_m)
         return self.scanner.seen(self.now_s)
 
-    def scan(self, *, thing: bool = True, takes: bool = True) -> None:
+    def scan(self, *, takes: bool = True) -> None:
         """One sweep is enough; takes: the mission puts it on its map."""
         self.scanner.begun(self.here_nea_m, self.state, self.now_s)
-        self.run(thing=thing)
+        self.run()
         done = self.scanner.done(self.now_s)
         assert done is not None
         assert done.answered == 1
