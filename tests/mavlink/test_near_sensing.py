@@ -139,7 +139,8 @@ def test_a_measurement_waits_until_the_pose_of_its_time_is_known_which_is_not_gu
     (sweep,) = sensing.sweeps()
     assert sweep.sensor_ne_m == pytest.approx((1.0, 2.0))
     assert clear_m(sweep, 180.0) == [5.0]
-    poses.on_position(NOW_S + 2.1, (2.0, 4.0, 6.0))
+    for at_s in (2.1, 2.2):
+        poses.on_position(NOW_S + at_s, (2.0, 4.0, 6.0))
     poses.on_attitude(attitude(NOW_S + 2.1))
     poses.on_attitude(attitude(NOW_S + 2.2, math.nan, 0.0, 0.0))
     known = {after_s: poses.at(NOW_S + after_s) is not None for after_s in (1.0, 2.1, 2.15, 2.2)}

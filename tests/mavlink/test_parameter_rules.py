@@ -170,6 +170,15 @@ def test_one_value(way: Way, name: str, value: float, said: Any, of: dict[str, A
     assert told == said
 
 
+def test_a_finding_is_one_line_with_the_value_the_rule_and_the_remedy() -> None:
+    values = USUAL[COPTER] | {"GUID_TIMEOUT": 3.0}
+    assert str(found(COPTER, values, mission(**SLOW))["GUID_TIMEOUT"]) == (
+        "GUID_TIMEOUT = 3: after the last setpoint the vehicle flies on; with 0.5 s, the least "
+        "for a radio, that is 1.0 s, and vehicle.dead_man_s = 0.6. "
+        "Set vehicle.dead_man_s to 1 or more."
+    )
+
+
 @pytest.mark.parametrize(("timeout_s", "furthest_m"), [(3.0, 53.7), (1.0, 33.6), (0.5, 28.8)])
 def test_a_timeout_stays_within_the_certified_reach(timeout_s: float, furthest_m: float) -> None:
     """ardupilot.md 3, "Stream stops at 10 m/s": how far beyond the last setpoint it comes.

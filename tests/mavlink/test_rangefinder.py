@@ -36,6 +36,7 @@ def above_m(
         poses.on_attitude(attitude(now_s, *lean))
         values = {"orientation": 25, "max_distance": 4000, "id": 0, **fields}
         finder.on_message(beam(now_s, round(100.0 * distance_m), **values), now_s)
+        assert finder.seen(now_s, known) is None  # where it is, is not known yet
         poses.on_position(now_s, (0.0, 0.0, ALTITUDE_M))
         found.append(finder.seen(now_s, known))
         now_s += 0.1
