@@ -3,14 +3,14 @@
 from collections.abc import Sequence
 from typing import Any
 
-from wires import over_the_wire, wire
+from wires import heard, wire
 
 
 def attitude(
     time_s: float, roll_rad: float = 0.0, pitch_rad: float = 0.0, yaw_rad: float = 0.0
 ) -> Any:
-    at_ms = round(1e3 * time_s)
-    return wire.MAVLink_attitude_message(at_ms, roll_rad, pitch_rad, yaw_rad, 0, 0, 0)
+    turned = {"roll": roll_rad, "pitch": pitch_rad, "yaw": yaw_rad}
+    return heard("ATTITUDE", time_boot_ms=round(1e3 * time_s), **turned)
 
 
 def obstacle_distance(
@@ -22,35 +22,20 @@ def obstacle_distance(
     **fields: Any,
 ) -> Any:
     """72 sectors of 5 degrees, from the nose: these, and in the others nothing."""
-    values = {
-        "time_usec": round(time_s * 1e6),
-        "sensor_type": 0,
-        "distances": [*distances_cm, *[reach_cm + 1] * (72 - len(distances_cm))],
-        "increment": 5,
-        "min_distance": 20,
-        "max_distance": reach_cm,
-        "increment_f": 0.0,
-        "angle_offset": 0.0,
-        "frame": wire.MAV_FRAME_BODY_FRD,
-    }
-    return over_the_wire(wire.MAVLink_obstacle_distance_message(**{**values, **fields}), source)
+    sectors = [*distances_cm, *[reach_cm + 1] * (72 - len(distances_cm))]
+    values = {"time_usec": round(time_s * 1e6), "min_distance": 20, "max_distance": reach_cm}
+    values |= {"distances": sectors, "increment": 5, "frame": wire.MAV_FRAME_BODY_FRD}
+    return heard("OBSTACLE_DISTANCE", source, **{**values, **fields})
 
 
 def beam(time_s: float, cm: int = 700, *, source: tuple[int, int] = (1, 1), **fields: Any) -> Any:
     """DISTANCE_SENSOR: by default the sector ahead, as ArduPilot tells of its proximity."""
-    values = {
-        "time_boot_ms": round(1e3 * time_s),
-        "min_distance": 20,
-        "max_distance": 1600,
-        "current_distance": cm,
-        "type": 0,
-        "id": 10,
-        "orientation": 0,
-        "covariance": 0,
-    }
-    return over_the_wire(wire.MAVLink_distance_sensor_message(**{**values, **fields}), source)
+    values = {"time_boot_ms": round(1e3 * time_s), "current_distance": cm, "id": 10}
+    values |= {"min_distance": 20, "max_distance": 1600}
+    return heard("DISTANCE_SENSOR", source, **{**values, **fields})
 
 
-def health(bit: int, *, well: bool) -> Any:
-    """SYS_STATUS of a sensor that is there and enabled."""
-    return wire.MAVLink_sys_status_message(bit, bit, bit * well, *[0] * 10)
+def health(*, well: bool) -> Any:
+    """SYS_STATUS of an autopilot whose lidar is there and enabled."""
+    bit, of = wire.MAV_SYS_STATUS_SENSOR_PROXIMITY, "onboard_control_sensors"
+    return heard("SYS_STATUS", **{f"{of}_enabled": bit, f"{of}_health": bit * well})

@@ -4,129 +4,162 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from held import Held, polygon, waypoints
-from wires import over_the_wire
+from held import FOUR, MISSIONS, Held, placed, polygon, stored, waypoints
+from wires import assert_told, heard, over_the_wire
 
 from companion.config import load_mission
-from companion.mavlink import autopilots, rules
+from companion.mavlink import autopilots
 from companion.mavlink.autopilot_client import AutopilotClient
-from companion.mavlink.autopilots import ARDUCOPTER, PX4_MULTICOPTER, Autopilot, px4
+from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_MULTICOPTER, px4
 from companion.mavlink.autopilots.common import Modes
 from companion.mavlink.dialect import EventMessage, codec, wire
 from companion.mavlink.frames import Receiver
-from companion.mavlink.rules import Rule
-from companion.mission import checkpoint
+from companion.mavlink.parameter_client import ANSWER_S
+from companion.mavlink.plan_client import FENCE, MISSION, RALLY
+from companion.mavlink.rules import Rule, brakes
+from companion.mission import checkpoint, events
 from companion.mission.decisions import Context
-from companion.mission.events import (
-    Arm,
-    Battery,
-    Disarm,
-    FenceBreach,
-    FenceChanged,
-    FenceReading,
-    Item,
-    Mode,
-    Prepared,
-    SetSpeed,
-    TakeOffTaken,
-)
-from companion.mission.mission import Mission
+from companion.mission.events import FenceChanged, FenceReading, Item
 from companion.mission.state import State
-from vehicle_sim.plans import PlanItem as Stored
 
-FENCE = 1
-AUTOPILOTS = {"ardupilot": ARDUCOPTER, "px4": PX4_MULTICOPTER}
-NAMES = {"ardupilot": "sitl-arducopter", "px4": "sitl-px4"}
-both = pytest.mark.parametrize("firmware", NAMES)
+COPTER, PX4 = FOUR[0], FOUR[2]
 
 
-WATCHING = Context(mission=load_mission("sitl-px4"), seed=1, lockstep=True, shadow=True)
+def context(name: str = "sitl-px4", *, shadow: bool = True, **changes: Any) -> Context:
+    mission = replace(load_mission(name), **changes)
+    return Context(mission=mission, seed=1, lockstep=True, shadow=shadow)
 
 
-class Side:
-    """An autopilot's client beside a simulated vehicle, and the events that it tells."""
+class Side(Held):
+    """A vehicle, its client, and the events that it tells."""
 
-    def __init__(
-        self, firmware: Any, mission: Mission | None = None, *, sets: bool = False
-    ) -> None:
-        mission = mission or load_mission(NAMES[firmware])
-        self.held, self.hears_home = Held(firmware), True
-        context = Context(mission=mission, seed=1, lockstep=True, shadow=not sets)
-        self.client = AutopilotClient(context, 1, AUTOPILOTS[firmware])
+    def __init__(self, way: Any, *, sets: bool = False, **changes: Any) -> None:
+        super().__init__(*way)
+        number = FOUR.index(way)
+        of = context(MISSIONS[number], shadow=not sets, **changes)
+        self.side = AutopilotClient(of, 1, ALL[number])
+        self.client, self.hears_home = self, True
         self.events: list[Any] = []
-        self._has_begun = False
 
     def on_message(self, message: Any, now_s: float) -> list[Any]:
         is_home = message.get_type() == "HOME_POSITION"
         if message.get_srcComponent() != 1 or (is_home and not self.hears_home):
             return []
-        replies = self.client.on_message(message, now_s)
-        self.client.event_of(message, now_s)
-        self.events += self.client.news(now_s)
+        replies = self.side.on_message(message, now_s)
+        self.side.event_of(message, now_s)
+        self.events += self.side.news(now_s)
         return replies
 
     def on_time(self, now_s: float) -> list[Any]:
-        begin = [] if self._has_begun else self.client.streams.begin(now_s)
-        self._has_begun = True
-        return begin + self.client.on_time(now_s)
+        begin = [] if self.side.streams.begun else self.side.streams.begin(now_s)
+        return begin + self.side.on_time(now_s)
 
     def told(self, *kinds: type) -> list[Any]:
         return [event for event in self.events if isinstance(event, kinds)]
 
-    def prepared(self, item: Item) -> list[Prepared]:
-        return [event for event in self.told(Prepared) if event.item is item]
+    def refusals(self, item: Item) -> list[str]:
+        """Of what is prepared or refused: "" is prepared."""
+        return [event.refusal for event in self.told(events.Prepared) if event.item is item]
 
-    def run(self, seconds: float, until: Any = lambda: False) -> "Side":
-        self.held.run(seconds, self, until)
+    def until_prepared(self, item: Item = Item.PLANS) -> "Side":
+        self.run(60.0, until=lambda: bool(self.refusals(item)))
         return self
 
-    def until_prepared(self) -> "Side":
-        return self.run(60.0, until=lambda: bool(self.prepared(Item.PLANS)))
+
+SETS = {
+    "ardupilot": {"FENCE_TYPE": 3.0, "FENCE_RADIUS": 212.5},
+    "px4": {"COM_OBL_RC_ACT": 5.0, "COM_OF_LOSS_T": 0.7, "COM_RCL_EXCEPT": -1.0},
+}
+FAULTS = {  # and within what time all is there
+    "link_loss 0 %": 8.0,
+    "link_loss 25 %": 60.0,
+    "link_delay 700 ms": 90.0,
+    "link_duplication 50 %": 15.0,
+    "for 19 s: link_off": 40.0,
+}
 
 
-@both
-def test_a_fence_that_has_changed_is_told_before_it_is_read(firmware: str) -> None:
-    side = Side(firmware).until_prepared()
-    for items, size_m in ((40, 100.0), (60, 100.0), (60, 140.0)):  # the last: as many, elsewhere
-        side.events.clear()
-        side.held.upload(FENCE, polygon(items, size_m=size_m), side)
-        side.run(90.0, until=lambda: len(side.told(FenceReading)) == 2)
-        told = side.told(FenceReading, FenceChanged)
-        assert [type(event) for event in told] == [FenceReading, FenceChanged, FenceReading]
-        assert [event.items for event in side.told(FenceReading)] == [items, 0]
-    side.events.clear()
-    side.run(90.0)  # it is read again, and is the same
-    assert not side.told(FenceReading)
+@pytest.mark.sample(5)
+@pytest.mark.parametrize("way", FOUR, ids=" ".join)
+@pytest.mark.parametrize("fault", FAULTS)
+def test_all_comes_whole_and_what_is_set_is_read_back(way: Any, fault: str) -> None:
+    """A silent link is not flooded, and changes no list."""
+    it, sets = Side(way), SETS[way[0]]
+    client, plans, there = it.side.parameters, it.side.plans, it.simulation.parameters
+    known = {name: there[name] for name in client.waiting if name in there}
+    rally = [stored(5100, 0.0, -100.0 * k, 30.0) for k in range(3)]
+    lists = {FENCE: polygon(40), MISSION: waypoints(9), RALLY: rally}
+    for kind, items in lists.items():
+        it.draw(kind, *items)
+    it.simulation.add_fault(fault)
+    assert it.run(120.0, until=lambda: client.is_done and plans.is_done) < FAULTS[fault]
+    assert client.values == pytest.approx(known, rel=1e-6)
+    read_s = [at_s for at_s, m in it.sent if at_s < 20.0 and m.get_type() == "PARAM_REQUEST_READ"]
+    for at_s in read_s if "link_off" in fault else ():
+        assert sum(at_s <= other < at_s + ANSWER_S - 0.02 for other in read_s) <= 6
+    for name, value in sets.items():
+        client.set(name, value)
+    it.run(30.0, until=lambda: client.is_done)
+    assert (client.is_done, client.failed_sets) == (True, {})
+    for values in (client.values, there):
+        assert {name: values[name] for name in sets} == pytest.approx(sets)
+    it.simulation.add_fault("for 30 s: link_off")
+    it.run(30.0)
+    for kind, items in lists.items():
+        begin = int(kind == MISSION and way[0] == "ardupilot")  # item 0 is home there
+        assert placed(plans.plans[kind].items)[begin:] == placed(items)[begin:]
+    assert [plans.plans[kind].version for kind in lists] == [1, 1, 1]
+
+
+@pytest.mark.sample(2)
+@pytest.mark.parametrize("way", FOUR, ids=" ".join)
+def test_a_fence_that_is_drawn_in_flight_is_told_before_it_is_read(way: Any) -> None:
+    """One of a few items is known within 10 s."""
+    it = Side(way).until_prepared()
+    it.run(3.0)
+    sizes = [(5, 100.0), (5, 140.0), (0, 0.0), (40, 100.0), (60, 100.0), (60, 140.0)]
+    for fence in (polygon(items, size_m) for items, size_m in sizes):  # more; as many, elsewhere
+        it.events.clear()
+        it.draw(FENCE, *fence)
+        took_s = it.run(90.0, until=lambda: bool(it.told(FenceChanged)))
+        assert took_s < (10.0 if len(fence) < 40 else 90.0)
+        it.run(1.3)
+        told = it.told(FenceReading, FenceChanged)
+        kinds = [FenceReading, FenceChanged, FenceReading] if fence else [FenceChanged]
+        assert [type(event) for event in told] == kinds
+        assert not fence or [told[0].items, told[2].items] == [len(fence), 0]
+        assert placed(it.side.plans.plans[FENCE].items) == placed(fence)
+    it.events.clear()
+    it.run(90.0)  # it is read again, and is the same
+    assert not it.told(FenceReading)
 
 
 def test_plans_are_not_done_before_a_fence_about_home_is_drawn() -> None:
     """Else a vehicle whose home is heard last arms before its fence is held against the mission."""
-    side = Side("ardupilot")
+    it = Side(COPTER)
     for name, value in (("FENCE_ENABLE", 1.0), ("FENCE_TYPE", 2.0), ("FENCE_RADIUS", 60.0)):
-        side.held.simulation.set_parameter(name, value)
-    side.hears_home = False
-    assert not side.run(30.0).prepared(Item.PLANS)
-    side.hears_home = True
-    told = side.until_prepared().prepared(Item.PLANS)
-    assert "fence about home (radius 60 m)" in told[0].refusal
+        it.simulation.set_parameter(name, value)
+    it.hears_home = False
+    it.run(30.0)
+    assert not it.refusals(Item.PLANS)
+    it.hears_home = True
+    assert "fence about home (radius 60 m)" in it.until_prepared().refusals(Item.PLANS)[0]
 
 
 def test_the_fence_that_is_known_stays_in_force_while_it_is_read_anew() -> None:
-
-    def zones(side: Side) -> list[int]:
-        return [len(event.zones) for event in side.told(FenceChanged)]
-
-    side = Side("px4")
-    side.held.simulation.set_parameter("GF_MAX_HOR_DIST", 400.0)
-    side.held.upload(FENCE, polygon(7))
-    assert zones(side.run(8.0)) == [2]
-    side.client.rebooted()
-    side.hears_home = False
-    assert zones(side.run(8.0)) == [2]  # not that without what is drawn about home
-    assert any("2 zones stay in force" in note for note in side.client.notes)
-    side.held.upload(FENCE, [])
-    side.hears_home = True
-    assert zones(side.run(20.0)) == [2, 1]
+    it = Side(PX4)
+    it.simulation.set_parameter("GF_MAX_HOR_DIST", 400.0)
+    it.draw(FENCE, *polygon(7))
+    it.run(8.0)
+    it.side.rebooted()
+    it.hears_home = False
+    it.run(8.0)
+    assert [len(event.zones) for event in it.told(FenceChanged)] == [2]  # not: what needs no home
+    assert any("2 zones stay in force" in note for note in it.side.notes)
+    it.draw(FENCE)
+    it.hears_home = True
+    it.run(20.0)
+    assert [len(event.zones) for event in it.told(FenceChanged)] == [2, 1]
 
 
 def px4_event(name: str) -> Any:
@@ -139,12 +172,12 @@ def px4_event(name: str) -> Any:
 
 
 def text(said: str) -> Any:
-    return wire.MAVLink_statustext_message(4, said.encode())
+    return heard("STATUSTEXT", text=said.encode())
 
 
-@pytest.mark.parametrize(
-    ("autopilot", "message", "breach"),
-    [
+def test_a_breach_is_what_autopilots_say_of_one() -> None:
+    assert px4.event_id("check_modes_offboard_signal") == 3087815  # as recorded (px4.md 6)
+    for autopilot, message, is_breach in (
         (ARDUCOPTER, text("Polygon fence breached"), True),
         (ARDUCOPTER, text("Max Alt and Circle fences breached"), True),
         (ARDUCOPTER, text("Fence upload timeout"), False),
@@ -155,20 +188,14 @@ def text(said: str) -> Any:
         (PX4_MULTICOPTER, px4_event("check_gf_violation_custom_gf"), True),
         (PX4_MULTICOPTER, px4_event("check_modes_offboard_signal"), False),
         (ARDUCOPTER, px4_event("check_gf_violation"), False),
-    ],
-)
-def test_what_autopilots_say_of_a_breach(autopilot: Autopilot, message: Any, breach: bool) -> None:
-    told = AutopilotClient(WATCHING, 1, autopilot).event_of(message, 7.0)
-    assert told == (FenceBreach(time_s=7.0) if breach else None)
-    assert px4.event_id("check_modes_offboard_signal") == 3087815  # as recorded (px4.md 6)
-
-
-def test_fence_status_tells_of_each_breach_once() -> None:
-    side = AutopilotClient(WATCHING, 1, ARDUCOPTER)
-    states = [(0, 0), (1, 1), (1, 1), (0, 1), (1, 2)]
-    messages = [wire.MAVLink_fence_status_message(*state, 3, 0, 0) for state in states]
-    told = [side.event_of(message, 1.0) is not None for message in messages]
-    assert told == [False, True, False, False, True]
+    ):
+        told = AutopilotClient(context(), 1, autopilot).event_of(message, 7.0)
+        assert told == (events.FenceBreach(time_s=7.0) if is_breach else None), message
+    side, told_of = AutopilotClient(context(), 1, ARDUCOPTER), []
+    for breached, count in ((0, 0), (1, 1), (1, 1), (0, 1), (1, 2)):  # each once
+        message = heard("FENCE_STATUS", breach_status=breached, breach_count=count)
+        told_of.append(side.event_of(message, 1.0) is not None)
+    assert told_of == [False, True, False, False, True]
 
 
 @pytest.mark.parametrize(("times", "each_s", "ends_as"), [(1, 12.0, 5.0), (6, 9.0, 0.0)])
@@ -176,32 +203,29 @@ def test_who_keeps_setting_a_parameter_back_is_said_once_and_not_fought_for_ever
     times: int, each_s: float, ends_as: float
 ) -> None:
     """COM_OBL_RC_ACT is to be 5; a ground station sets it back to 0."""
-    side = Side("px4", sets=True)
-    there = side.held.simulation.parameters
-    side.run(30.0, until=lambda: there["COM_OBL_RC_ACT"] == 5.0).run(3.0)
+    it = Side(PX4, sets=True)
+    it.run(30.0, until=lambda: it.simulation.parameters["COM_OBL_RC_ACT"] == 5.0)
+    it.run(3.0)
     for _ in range(times):
-        side.held.other(wire.MAVLink_param_set_message(1, 1, b"COM_OBL_RC_ACT", 0.0, 6))
-        side.run(each_s)
-    assert side.client.parameters.values["COM_OBL_RC_ACT"] == ends_as
-    refusals = [event.refusal for event in side.prepared(Item.PARAMETERS) if event.refusal]
-    said = ["COM_OBL_RC_ACT = 0: somebody keeps setting it back"] * (times > 1)
-    assert [line.split(". ")[0] for line in refusals] == said
-    notes = [note for note in side.client.notes if "COM_OBL_RC_ACT" in note]
+        it.other(wire.MAVLink_param_set_message(1, 1, b"COM_OBL_RC_ACT", 0.0, 6))
+        it.run(each_s)
+    assert it.side.parameters.values["COM_OBL_RC_ACT"] == ends_as
+    said = [line.split(". ")[0] for line in it.refusals(Item.PARAMETERS) if line]
+    assert said == ["COM_OBL_RC_ACT = 0: somebody keeps setting it back"] * (times > 1)
+    notes = [note for note in it.side.notes if "COM_OBL_RC_ACT" in note]
     assert notes == ["set COM_OBL_RC_ACT to 5"]
-    sets = [message for _, message in side.held.sent if message.get_type() == "PARAM_SET"]
-    assert 2 <= len([each for each in sets if each.param_id == "COM_OBL_RC_ACT"]) <= 6
+    sets = [each for _, each in it.sent if each.get_type() == "PARAM_SET"]
+    assert 2 <= [each.param_id for each in sets].count("COM_OBL_RC_ACT") <= 6
 
 
 def test_what_could_not_be_set_is_refused_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    side = Side("px4", sets=True)
-    side.held.simulation.set_parameter("COM_OBL_RC_ACT", 0.0)
-    say = side.held.say
-    lost = "PARAM_SET"
+    it = Side(PX4, sets=True)
+    it.simulation.set_parameter("COM_OBL_RC_ACT", 0.0)
+    say = it.say
     monkeypatch.setattr(
-        side.held, "say", lambda told: say([each for each in told if each.get_type() != lost])
+        it, "say", lambda told: say([each for each in told if each.get_type() != "PARAM_SET"])
     )
-    side.run(60.0, until=lambda: bool(side.prepared(Item.PARAMETERS)))
-    assert side.prepared(Item.PARAMETERS)[0].refusal == (
+    assert it.until_prepared(Item.PARAMETERS).refusals(Item.PARAMETERS)[0] == (
         "COM_OBL_RC_ACT = 0: it was told 5 and says 0. Set it to 5 by hand: "
         "when the stream stops the vehicle sinks without RC"
     )
@@ -212,33 +236,32 @@ def test_by_another_clock_the_same_is_asked_at_the_same_moments(shift_s: float) 
     """As after a restart in flight: the clock of before goes on until the vehicle's is heard."""
     asked = []
     for shifted_s in (0.0, shift_s):
-        side = Side("ardupilot").run(1.0)
-        side.client.rebase_time(shifted_s)
-        now_s = side.held.now_s + shifted_s
+        it = Side(COPTER)
+        it.run(1.0)
+        it.side.rebase_time(shifted_s)
+        now_s = it.now_s + shifted_s
         times_s = (now_s + 0.097 * k for k in range(100))  # unanswered; no wait ends at one of them
-        said = (side.client.on_time(at_s) for at_s in times_s)
+        said = (it.side.on_time(at_s) for at_s in times_s)
         asked.append([sorted(bytes(each.pack(codec(1))) for each in told) for told in said])
     assert asked[0] == asked[1]
     assert len([told for told in asked[0] if told]) > 10
 
 
 def beat(mode: int = wire.PLANE_MODE_GUIDED) -> Any:
-    numbers = (1, wire.MAV_AUTOPILOT_ARDUPILOTMEGA, 129, mode, 4, 3)
-    return over_the_wire(wire.MAVLink_heartbeat_message(*numbers))
+    return heard("HEARTBEAT", type=1, autopilot=3, base_mode=129, custom_mode=mode)
 
 
 def ack(command: int, result: int) -> Any:
-    return over_the_wire(wire.MAVLink_command_ack_message(command, result))
+    return heard("COMMAND_ACK", command=command, result=result)
 
 
 def plane_told_its_speed() -> tuple[AutopilotClient, Any]:
     """An ArduPlane in guided mode, and the command, whose first frame may have been lost."""
-    mission = load_mission("sitl-arduplane")
-    context = Context(mission=mission, seed=1, lockstep=True, shadow=True)
-    side = AutopilotClient.of(beat(), context)
+    of = context("sitl-arduplane")
+    side: Any = AutopilotClient.of(beat(), of)
     side.streams.begin(0.0)
-    state = State.of(mission, checkpoint.blank_map(mission))
-    [told] = side.command_messages(SetSpeed(speed_m_s=22.0), state) or [None]
+    state = State.of(of.mission, checkpoint.blank_map(of.mission))
+    [told] = side.command_messages(events.SetSpeed(speed_m_s=22.0), state)
     return side, told
 
 
@@ -265,30 +288,29 @@ def test_a_plane_is_told_its_speed_until_it_answers_or_somebody_else_flies_it() 
     ):
         side, _ = plane_told_its_speed()
         side.event_of(ends, 0.5)
-        assert times_told(side, 1.0) == 0
-        assert side.notes == notes
+        assert (times_told(side, 1.0), side.notes) == (0, notes)
 
 
 def test_it_is_armed_and_disarmed_without_force_and_a_take_off_is_taken_once_accepted() -> None:
-    side = AutopilotClient(WATCHING, 7, PX4_MULTICOPTER)
-    state = State.of(WATCHING.mission, checkpoint.blank_map(WATCHING.mission))
-    for command, value in ((Arm(), 1.0), (Disarm(), 0.0)):
+    of = context()
+    side = AutopilotClient(of, 7, PX4_MULTICOPTER)
+    state = State.of(of.mission, checkpoint.blank_map(of.mission))
+    for command, value in ((events.Arm(), 1.0), (events.Disarm(), 0.0)):
         [message] = side.command_messages(command, state)
-        sent = over_the_wire(message)
-        assert (sent.command, sent.target_system, sent.target_component) == (400, 7, 1)
-        assert [getattr(sent, f"param{n}") for n in range(1, 8)] == [value] + [0.0] * 6
+        numbers = {"param1": value} | {f"param{n}": 0.0 for n in range(2, 8)}
+        to = {"target_system": 7, "target_component": 1}
+        assert_told(over_the_wire(message), "COMMAND_LONG", command=400, **to, **numbers)
     for number in (wire.MAV_CMD_NAV_TAKEOFF, wire.MAV_CMD_COMPONENT_ARM_DISARM):
         told = [side.event_of(ack(number, result), 3.0) for result in range(6)]
-        taken = TakeOffTaken(time_s=3.0) if number == wire.MAV_CMD_NAV_TAKEOFF else None
+        taken = events.TakeOffTaken(time_s=3.0) if number == wire.MAV_CMD_NAV_TAKEOFF else None
         assert told == [taken, *[None] * 5]  # MAV_RESULT_ACCEPTED is 0
 
 
 def test_how_the_vehicles_own_mission_ends_is_not_passed_over_in_silence() -> None:
     """The companion ends as its own mission says: who has drawn an RTL has to hear of it."""
-    mission = replace(load_mission("sitl-arducopter"), targets_from_vehicle=True)
-    side = Side("ardupilot", mission)
-    side.held.upload(0, [*waypoints(3), Stored(frame=2, command=20)])
-    said = side.until_prepared().client.notes
+    it = Side(COPTER, targets_from_vehicle=True)
+    it.draw(MISSION, *waypoints(3), stored(20, 0.0, 0.0, 0.0))
+    said = it.until_prepared().side.notes
     assert said == ["its mission ends with return; what counts is end.action: land"]
 
 
@@ -296,26 +318,25 @@ FIFTH = replace(
     PX4_MULTICOPTER,
     firmware=replace(px4.FIRMWARE, name="fifth", number=wire.MAV_AUTOPILOT_SMACCMPILOT),
     traits=replace(PX4_MULTICOPTER.traits, name="Fifth"),
-    rules=(Rule("FIFTH_RATE", rules.brakes, "how it brakes"),),
-    modes=Modes(asked={Mode.GUIDED: (77,)}, names={(77,): "LED"}),
+    rules=(Rule("FIFTH_RATE", brakes, "how it brakes"),),
+    modes=Modes(asked={events.Mode.GUIDED: (77,)}, names={(77,): "LED"}),
     streams_hz={wire.MAVLINK_MSG_ID_ALTITUDE: 5.0},
     decoders={
-        wire.MAVLINK_MSG_ID_ALTITUDE: lambda _, now_s, *__: Battery(time_s=now_s, remaining=0.5)
+        wire.MAVLINK_MSG_ID_ALTITUDE: lambda _, now_s, *__: events.Battery(
+            time_s=now_s, remaining=0.5
+        )
     },
 )
 
 
 def test_a_fifth_autopilot_is_one_value(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(autopilots, "ALL", (*autopilots.ALL, FIFTH))
-    of = wire.MAV_TYPE_QUADROTOR, wire.MAV_AUTOPILOT_SMACCMPILOT, 129, 77, 4, 3
-    heartbeat = over_the_wire(wire.MAVLink_heartbeat_message(*of))
-    mission = replace(WATCHING.mission, autopilot=None)
-    context = Context(mission=mission, seed=1, lockstep=True, shadow=True)
-    side: Any = AutopilotClient.of(heartbeat, context)
+    monkeypatch.setattr(autopilots, "ALL", (*ALL, FIFTH))
+    beat = heard("HEARTBEAT", type=2, autopilot=FIFTH.firmware.number, custom_mode=77)
+    side: Any = AutopilotClient.of(beat, context(autopilot=None))
     assert side.autopilot is FIFTH is autopilots.named("fifth", "copter")
-    assert side.event_of(heartbeat, 1.0).mode is Mode.GUIDED
-    altitude = over_the_wire(wire.MAVLink_altitude_message(0, *[0.0] * 6))
-    assert side.event_of(altitude, 2.0) == Battery(time_s=2.0, remaining=0.5)
+    assert side.event_of(beat, 1.0).mode is events.Mode.GUIDED
+    altitude = heard("ALTITUDE")
+    assert side.event_of(altitude, 2.0) == events.Battery(time_s=2.0, remaining=0.5)
     assert side.parameters.waiting == ("FIFTH_RATE",)
-    asked = [over_the_wire(each).param1 for each in side.streams.begin(0.0)]
+    asked = [over_the_wire(message).param1 for message in side.streams.begin(0.0)]
     assert wire.MAVLINK_MSG_ID_ALTITUDE in asked

@@ -2,19 +2,18 @@
 
 import math
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from msgspec import structs
-from wires import FRAME, OURS, PERSON, command_int, command_long, geodetic_e7, over_the_wire, wire
+from wires import FRAME, SYSTEM, assert_told, geodetic_e7, heard, over_the_wire, wire
 
 from companion.config import load_mission
 from companion.geodesy import LocalFrame
 from companion.mavlink.component import Component, Reply, heartbeat, version_number
-from companion.mavlink.dialect import codec
 from companion.mission.changes import OrderResult
 from companion.mission.checkpoint import initial_state
 from companion.mission.events import Order, OrderKind
@@ -24,263 +23,187 @@ ACCEPTED, REJECTED, DENIED, UNSUPPORTED, IN_PROGRESS, WRONG_FRAME = 0, 1, 2, 3, 
 START, PAUSE, REPOSITION, RETURN, LAND = 300, 193, 192, 20, 21
 REQUEST, CAPABILITIES = 512, 520
 MISSION = load_mission("valley")  # 10 km x 7.5 km, 8 m/s
-STRANGER = (42, 1)
-READY = structs.replace(initial_state(MISSION, None), stage=Stage(phase=Phase.READY))
+OURS, PERSON, STRANGER = (SYSTEM, 195), (255, 190), (42, 1)
 NAN, NOWHERE = math.nan, 0x7FFFFFFF
 
 
-class Ack(NamedTuple):
-    """COMMAND_ACK."""
-
-    command: int
-    result: int
-    target: tuple[int, int]
-
-
 def made(frame: LocalFrame = FRAME) -> Component:
+    """Its commanders: 255/any and 1/191."""
     mission = replace(MISSION, frame=frame, commanders=((255, 0), (1, 191)))
     return Component(mission, OURS[0], "1.2.3")
 
 
-def ack(message: Any) -> Ack:
-    """As it leaves the companion."""
-    read = wire.MAVLink(None).decode(bytearray(message.pack(codec(OURS[0]))))
-    told = (read.get_type(), read.get_srcSystem(), read.get_srcComponent())
-    assert told == ("COMMAND_ACK", *OURS)
-    return Ack(read.command, read.result, (read.target_system, read.target_component))
+def said(
+    command: int,
+    *parameters: float,
+    sender: tuple[int, int] = PERSON,
+    target: tuple[int, int] = OURS,
+    **fields: Any,
+) -> Any:
+    """COMMAND_LONG as it is read, or COMMAND_INT if it has a frame; what is left out is 0."""
+    fields |= {f"param{n}": value for n, value in enumerate(parameters, 1)}
+    fields |= {"command": command, "target_system": target[0], "target_component": target[1]}
+    return heard("COMMAND_INT" if "frame" in fields else "COMMAND_LONG", sender, **fields)
 
 
 def answered(
-    server: Component,
-    message: Any,
-    now_s: float = 10.0,
-    verdict: OrderResult = OrderResult.ACCEPTED,
-) -> tuple[Reply, list[Ack]]:
-    """What comes back if the machine decides so on every order."""
+    server: Component, message: Any, now_s: float = 12.5, verdict: Any = OrderResult.ACCEPTED
+) -> tuple[Reply, list[int]]:
+    """What comes back to its sender if the machine decides so on every order."""
     answer = server.on_message(message, now_s)
     replies = [*answer.replies]
     if answer.order is not None:
         replies += server.order_done(answer.order, verdict)
         assert server.order_done(answer.order, verdict) == ()  # once
-    return answer, [ack(reply) for reply in replies]
+    to = {"target_system": message.get_srcSystem(), "target_component": message.get_srcComponent()}
+    for reply in replies:
+        assert_told(over_the_wire(reply), "COMMAND_ACK", command=message.command, **to)
+    return answer, [reply.result for reply in replies]
 
 
-def results(message: Any, server: Component | None = None) -> list[int]:
-    return [each.result for each in answered(server or made(), message)[1]]
-
-
-@pytest.mark.parametrize(
-    ("command", "parameters", "kind"),
-    [
-        (START, (), OrderKind.START),
-        (START, (0.0, 5.0), OrderKind.START),
-        (START, (NAN, NAN), OrderKind.START),
-        (PAUSE, (0.0,), OrderKind.PAUSE),
-        (PAUSE, (1.0,), OrderKind.CONTINUE),
-        (RETURN, (NAN,) * 7, OrderKind.RETURN),
-        (LAND, (0.0, 0.0, 0.0, NAN), OrderKind.LAND),
-    ],
-)
-def test_orders_are_passed_on(command: int, parameters: tuple[float, ...], kind: OrderKind) -> None:
-    verdicts = {OrderResult.NOT_NOW: REJECTED, OrderResult.INVALID: DENIED}
-    for message in (command_long(command, *parameters), command_int(command, *parameters[:4])):
-        for verdict, result in (verdicts | {OrderResult.ACCEPTED: ACCEPTED}).items():
-            answer, acks = answered(made(), message, 12.5, verdict)
-            assert answer.order == Order(time_s=12.5, kind=kind, sender="255/190")
-            assert acks == [Ack(command, result, PERSON)]
-            assert answer.note is not None
-
-
+COMMANDERS = ((255, 1), (255, 0), (1, 191))
+NO_COMMANDERS = (STRANGER, (1, 190), (254, 191), (1, 1))
 NO_PLACES = [(NAN, 8.0), (47.0, math.inf), (0.0, 0.0), (95.0, 8.0), (48.0, 8.0)]
-REFUSED = [
-    *((command_long(START, value), DENIED) for value in (3.0, math.inf)),
-    *((command_long(PAUSE, value), DENIED) for value in (2.0, NAN)),
-    *(
-        (command_long(REPOSITION, -1.0, 0.0, 0.0, NAN, *place, 100.0), DENIED)
-        for place in NO_PLACES
-    ),
-    (command_int(REPOSITION, x=NOWHERE, y=80_000_000, frame_id=5), DENIED),
-    (command_int(REPOSITION, x=470_000_000, y=NOWHERE, frame_id=5), DENIED),
-    (command_int(REPOSITION, frame_id=5), DENIED),
-    (command_long(LAND, 0.0, 0.0, 0.0, NAN, 47.0, 8.0, 0.0), DENIED),
-    (command_int(LAND, x=1, y=1), DENIED),
-    *(
-        (command_int(REPOSITION, x=470_000_000, y=80_000_000, frame_id=frame), WRONG_FRAME)
-        for frame in (1, 2, 4, 7, 8, 10, 11, 12, 20, 255)
-    ),
-]
-NONE_OF_OURS = [
-    *(
-        (command_long(REQUEST, number), DENIED)
-        for number in (30.0, 330.0, 148.5, -1.0, NAN, math.inf, 1e30)
-    ),
-    *((command_long(CAPABILITIES, value), DENIED) for value in (0.0, 148.0, NAN)),
-    *(
-        (command_long(command, sender=sender), UNSUPPORTED)
-        for command in (22, 176, 178, 400, 246, 510, 511, 2000, 5004, 0, 65_535)
-        for sender in (PERSON, STRANGER)
-    ),
-]
-
-
-@pytest.mark.parametrize(
-    ("message", "result"),
-    [*REFUSED, *NONE_OF_OURS],
-    ids=range(len(REFUSED) + len(NONE_OF_OURS)),
-)
-def test_the_impossible_is_refused_and_of_orders_it_is_said_why(message: Any, result: int) -> None:
-    answer, acks = answered(made(), message)
-    sender = message.get_srcSystem(), message.get_srcComponent()
-    assert acks == [Ack(message.command, result, sender)]
-    assert answer.order is None
-    assert bool(answer.text) is ((message, result) in REFUSED)
-    assert len(answer.text) <= 60
-
-
-@given(st.floats(-4_900.0, 4_900.0), st.floats(-3_900.0, 3_400.0), st.sampled_from([0, 3, 5, 6]))
-def test_a_new_target_lies_where_told(north_m: float, east_m: float, frame_id: int) -> None:
-    x, y = geodetic_e7(north_m, east_m)
-    message = command_int(REPOSITION, -1.0, x=x, y=y, z=NAN, frame_id=frame_id)
-    in_floats = command_long(REPOSITION, -1.0, 0.0, 0.0, NAN, x * 1e-7, y * 1e-7, 50.0)
-    for each, off_m in ((message, 0.02), (in_floats, 0.5)):
-        answer, acks = answered(made(), each)
-        assert acks == [Ack(REPOSITION, ACCEPTED, PERSON)]
-        assert answer.order.kind is OrderKind.REPOSITION
-        assert answer.order.target_ne_m == pytest.approx((north_m, east_m), abs=off_m)
-
-
-def test_0_0_is_no_place_even_if_it_lies_on_the_map_and_what_needs_none_takes_none() -> None:
-    gulf = made(LocalFrame(latitude_deg=0.001, longitude_deg=0.001))
-    assert results(command_int(REPOSITION, x=1, y=1, frame_id=5), gulf) == [ACCEPTED]
-    for nowhere in (command_int(REPOSITION, frame_id=5), command_long(REPOSITION)):
-        assert results(nowhere, gulf) == [DENIED]
-    for command, no_place in ((LAND, {"frame_id": 12}), (LAND, {"x": NOWHERE, "y": NOWHERE})):
-        assert results(command_int(command, **no_place)) == [ACCEPTED]
-
-
-@pytest.mark.parametrize(
-    ("sender", "may"),
-    [
-        *((sender, True) for sender in ((255, 1), (255, 0), (1, 191))),
-        *((sender, False) for sender in (STRANGER, (1, 190), (254, 191), (1, 1))),
+BROADCASTS, OTHERS = ((7, 0), (0, 195), (0, 0)), ((8, 195), (7, 190), (7, 1), (255, 0))
+ORDERS = (START, PAUSE, RETURN, LAND, REPOSITION)
+UNKNOWN = (22, 176, 178, 400, 246, 510, 511, 2000, 5004, 0, 65_535)
+RETURNS = [said(RETURN, *[NAN] * 7), *(said(RETURN, sender=by) for by in COMMANDERS)]
+LANDS = [said(LAND, 0.0, 0.0, 0.0, NAN), said(LAND, frame=12, x=NOWHERE, y=NOWHERE)]
+ANSWERS: dict[tuple[OrderKind | None, int | None], list[Any]] = {
+    (OrderKind.START, 0): [said(START), said(START, 0.0, 5.0), said(START, NAN, frame=0)],
+    (OrderKind.PAUSE, ACCEPTED): [said(PAUSE), said(PAUSE, frame=5)],
+    (OrderKind.CONTINUE, ACCEPTED): [said(PAUSE, 1.0), said(PAUSE, 1.0, frame=3)],
+    (OrderKind.RETURN, ACCEPTED): RETURNS,
+    (OrderKind.LAND, ACCEPTED): LANDS,
+    (None, DENIED): [
+        *(said(START, value) for value in (3.0, math.inf)),
+        *(said(PAUSE, value) for value in (2.0, NAN)),
+        *(said(REPOSITION, -1.0, 0.0, 0.0, NAN, *place, 100.0) for place in NO_PLACES),
+        *(said(REPOSITION, frame=5, x=x, y=y) for x, y in ((NOWHERE, 80), (47, NOWHERE))),
+        said(LAND, 0.0, 0.0, 0.0, NAN, 47.0, 8.0, 0.0),
+        said(LAND, frame=0, x=1, y=1),
+        *(said(each, sender=by) for each in ORDERS for by in NO_COMMANDERS),
+        *(said(REQUEST, number) for number in (30.0, 330.0, 148.5, -1.0, NAN, math.inf, 1e30)),
+        *(said(CAPABILITIES, value) for value in (0.0, 148.0, NAN)),
     ],
-)
-def test_only_commanders_may_order_0_meaning_any(sender: tuple[int, int], may: bool) -> None:
-    name = f"{sender[0]}/{sender[1]}"
-    for command in (START, PAUSE, RETURN):
-        answer, acks = answered(made(), command_long(command, sender=sender))
-        assert acks == [Ack(command, ACCEPTED if may else DENIED, sender)]
-        assert (answer.order is not None) is may
-        assert answer.note is not None
-        assert answer.note["sender"] == name
-        assert may or name in answer.text
+    (None, UNSUPPORTED): [said(each, sender=by) for each in UNKNOWN for by in (PERSON, STRANGER)],
+    (None, ACCEPTED): [said(REQUEST, 148.0, target=to) for to in (OURS, *BROADCASTS)],
+    (None, None): [  # for others, for all, or our own that a router sends back
+        *(said(each, target=to) for each in (*ORDERS, 400, 22) for to in BROADCASTS + OTHERS),
+        *(said(REQUEST, 30.0, target=to) for to in BROADCASTS),
+        *(said(REQUEST, 148.0, target=to) for to in OTHERS),
+        *(said(each, 1.0, sender=OURS) for each in (*ORDERS, CAPABILITIES)),
+    ],
+}
 
 
-ALL_KINDS = (START, PAUSE, RETURN, REPOSITION, LAND, REQUEST, CAPABILITIES, 400, 22)
+@pytest.mark.parametrize(("kind", "result"), ANSWERS)
+def test_what_is_ordered_and_answered(kind: OrderKind | None, result: int | None) -> None:
+    """Why an order is refused is said in a text, too."""
+    for message in ANSWERS[kind, result]:
+        sender = f"{message.get_srcSystem()}/{message.get_srcComponent()}"
+        answer, results = answered(made(), message)
+        assert results == [result] * (result is not None)
+        order = Order(time_s=12.5, kind=kind, sender=sender) if kind is not None else None
+        assert answer.order == order
+        assert bool(answer.text) is (result == DENIED and message.command in ORDERS)
+        assert len(answer.text) <= 60
+        assert not answer.text or sender in ("255/190", answer.text.split()[0])
+        is_noted = result is not None and (message.target_system, message.target_component) == OURS
+        assert (answer.note or {}).get("sender") == (sender if is_noted else None)
 
 
-def test_of_a_broadcast_our_questions_alone_are_answered_and_of_the_rest_nothing() -> None:
-    for target in ((7, 0), (0, 195), (0, 0)):
-        for command in set(ALL_KINDS) - {REQUEST, CAPABILITIES}:
-            answer = made().on_message(command_long(command, 0.0, 5.0, target=target), 1.0)
-            assert answer == Reply()
-        for number, acks in ((148.0, [Ack(REQUEST, ACCEPTED, PERSON)]), (30.0, [])):
-            answer, told = answered(made(), command_long(REQUEST, number, target=target))
-            assert (answer.note, told) == (None, acks)
-    others = ({"target": (8, 195)}, {"target": (7, 190)}, {"target": (7, 1)}, {"target": (255, 0)})
-    for whose in (*others, {"sender": OURS}):  # the last: our own, sent back by a router
-        for command in ALL_KINDS:
-            message = command_long(command, 148.0 * (command == REQUEST), **whose)
-            assert made().on_message(message, 1.0) == Reply()
+@given(st.floats(-9e3, 9e3), st.floats(-9e3, 9e3), st.sampled_from([0, 3, 5, 6, 1, 4, 8, 12]))
+def test_a_new_target_lies_where_told_if_that_is_on_the_map_in_a_frame_with_a_place(
+    north_m: float, east_m: float, frame: int
+) -> None:
+    x, y = geodetic_e7(north_m, east_m)
+    limits = MISSION.task.limits
+    edges_m = [north_m - at for at in limits.north_m] + [east_m - at for at in limits.east_m]
+    assume(min(map(abs, edges_m)) > 1.0)  # as floats of 32 bits they are a metre off
+    on_map = edges_m[0] > 0.0 > edges_m[1] and edges_m[2] > 0.0 > edges_m[3]
+    result = ACCEPTED if on_map else DENIED
+    message = said(REPOSITION, -1.0, x=x, y=y, frame=frame, z=NAN)
+    in_floats = said(REPOSITION, -1.0, 0.0, 0.0, NAN, x * 1e-7, y * 1e-7, 50.0)
+    wanted = result if frame in (0, 3, 5, 6) else WRONG_FRAME  # AMSL, or above home
+    for each, expected, off_m in ((message, wanted, 0.02), (in_floats, result, 0.5)):
+        answer, results = answered(made(), each)
+        assert results == [expected]
+        if expected == ACCEPTED:
+            assert answer.order.kind is OrderKind.REPOSITION
+            assert answer.order.target_ne_m == pytest.approx((north_m, east_m), abs=off_m)
 
 
-def said(command: int, confirmation: int, at_s: float, value: float = 0.0) -> tuple[Any, float]:
-    return command_long(command, value, confirmation=confirmation), at_s
+def test_0_0_is_no_place_even_if_it_lies_on_the_map() -> None:
+    gulf = made(LocalFrame(latitude_deg=0.001, longitude_deg=0.001))
+    tried = [said(REPOSITION, frame=5, x=1), said(REPOSITION, frame=5), said(REPOSITION)]
+    assert [answered(gulf, each)[1] for each in tried] == [[ACCEPTED], [DENIED], [DENIED]]
 
 
 X, Y = geodetic_e7(50.0, 60.0)
-THERE, BESIDE = (command_int(REPOSITION, -1.0, x=X + k, y=Y, frame_id=5) for k in (0, 1))
-OTHERS = command_long(PAUSE, confirmation=1, sender=(1, 191))
+THERE, BESIDE = (said(REPOSITION, -1.0, frame=5, x=X + k, y=Y) for k in (0, 1))
+FIRST, AGAIN = said(PAUSE), said(PAUSE, confirmation=1)
 
 
 @pytest.mark.parametrize(
     ("messages", "are_orders"),
     [
         # a repeated one is marked by its confirmation; later it is a new one
-        ([said(PAUSE, 0, 10.0), said(PAUSE, 1, 11.0), said(PAUSE, 2, 11.0)], [True, False, False]),
-        ([said(PAUSE, 0, 10.0), said(PAUSE, 1, 60.0)], [True, True]),
-        ([said(PAUSE, 1, 1.0)], [True]),  # got through at the second attempt only
-        ([said(PAUSE, 0, 1.0)] * 3, [True, True, True]),
+        ([(FIRST, 10.0), (AGAIN, 11.0), (AGAIN, 60.0)], [True, False, True]),
+        ([(AGAIN, 1.0)], [True]),  # got through at the second attempt only
+        ([(FIRST, 1.0)] * 3, [True, True, True]),
         # a question in between does not make it a new order
-        (
-            [said(PAUSE, 0, 1.0), said(REQUEST, 0, 1.1), said(22, 0, 1.2), said(PAUSE, 1, 1.6)],
-            [True, False, False, False],
-        ),
+        ([(FIRST, 1.0), (said(REQUEST), 1.1), (said(22), 1.2), (AGAIN, 1.6)], [1, 0, 0, 0]),
         # other parameters, and other senders, do
-        ([said(PAUSE, 1, 1.0, value) for value in (0.0, 1.0, 0.0)], [True, True, True]),
-        ([said(PAUSE, 0, 1.0), (OTHERS, 1.0)], [True, True]),
+        ([(said(PAUSE, value, confirmation=1), 1.0) for value in (0.0, 1.0, 0.0)], [1, 1, 1]),
+        ([(FIRST, 1.0), (said(PAUSE, confirmation=1, sender=(1, 191)), 1.0)], [True, True]),
         ([(THERE, 1.0), (THERE, 1.5), (BESIDE, 1.6)], [True, False, True]),
     ],
 )
-def test_a_repeat_is_not_obeyed_and_has_the_answer_of_the_first(
-    messages: list[tuple[Any, float]], are_orders: list[bool]
-) -> None:
+def test_a_repeat_is_not_obeyed(messages: list[tuple[Any, float]], are_orders: list[bool]) -> None:
     server = made()
-    told = [answered(server, message, at_s) for message, at_s in messages]
-    assert [answer.order is not None for answer, _ in told] == are_orders
-    accepted = {
-        each.result for _, acks in told for each in acks if each.command in (PAUSE, REPOSITION)
-    }
-    assert accepted == {ACCEPTED}
+    told = [answered(server, message, at_s)[0] for message, at_s in messages]
+    assert [answer.order is not None for answer in told] == are_orders
 
 
-def test_a_repeated_command_has_the_ack_of_the_first() -> None:
+def test_a_repeat_has_the_answer_of_the_first_and_what_was_refused_may_be_tried_again() -> None:
     server = made()
-    first = server.on_message(command_long(PAUSE), 1.0)
-    again = command_long(PAUSE, confirmation=1)
+    first = server.on_message(FIRST, 1.0)
     for result in (IN_PROGRESS, REJECTED):
-        assert [ack(each).result for each in server.on_message(again, 1.5).replies] == [result]
+        assert [reply.result for reply in server.on_message(AGAIN, 1.5).replies] == [result]
         server.order_done(first.order, OrderResult.NOT_NOW)
-    refused = server.on_message(command_int(START), 2.0)
-    server.order_done(refused.order, OrderResult.NOT_NOW)
-    assert server.on_message(command_int(START), 2.5).order is not None  # it may be tried again
-
-
-def kinds_sent(component: Component, at_s: float, *, faulted: bool = False) -> list[str]:
-    return [message.get_type() for message in component.on_time(at_s, READY, faulted=faulted)]
+    verdicts = {OrderResult.NOT_NOW: REJECTED, OrderResult.INVALID: DENIED, OrderResult.ACCEPTED: 0}
+    for verdict, result in verdicts.items():
+        assert answered(server, said(START, frame=0), 2.0, verdict)[1] == [result]
 
 
 def test_it_beats_once_a_second_whatever_its_clock_and_not_while_faulted() -> None:
-    beat = over_the_wire(heartbeat(wire.MAV_STATE_CRITICAL), OURS)
-    assert (beat.type, beat.autopilot) == (18, 8)  # MAV_TYPE_ONBOARD_CONTROLLER, INVALID
-    assert (beat.base_mode, beat.custom_mode, beat.system_status) == (0, 0, 5)
+    beat = over_the_wire(heartbeat(wire.MAV_STATE_CRITICAL))
+    controller = {"type": 18, "autopilot": 8, "base_mode": 0, "custom_mode": 0}  # ONBOARD, INVALID
+    assert_told(beat, "HEARTBEAT", system_status=5, **controller)
     component = made()
-    assert not any(kinds_sent(component, 0.1 * tenth, faulted=True) for tenth in range(100))
+    ready = structs.replace(initial_state(MISSION, None), stage=Stage(phase=Phase.READY))
+
+    def beats(*times_s: float, faulted: bool = False) -> int:
+        return sum(len(component.on_time(at_s, ready, faulted=faulted)) for at_s in times_s)
+
+    assert beats(*np.arange(0.0, 10.0, 0.1), faulted=True) == 0
     for begin_s in (1000.0, 0.0):  # it begins again
-        times_s = begin_s + np.arange(0.0, 10.0, 0.05)
-        sent = [kind for at_s in times_s for kind in kinds_sent(component, float(at_s))]
-        assert sent == ["HEARTBEAT"] * 10
-    answered(component, command_long(REQUEST, 0.0))  # it comes once there is no fault
-    assert not any(kinds_sent(component, at_s, faulted=True) for at_s in (10.5, 10.6, 10.7))
+        assert beats(*np.arange(begin_s, begin_s + 10.0, 0.05)) == 10
+    answered(component, said(REQUEST, 0.0))  # it comes once there is no fault
+    assert beats(10.5, 10.6, 10.7, faulted=True) == 0
     assert component.due_s < 0.0
-    assert [kinds_sent(component, at_s) for at_s in (10.8, 10.9)] == [["HEARTBEAT"], []]
-    assert component.due_s == 11.8
+    assert (beats(10.8), beats(10.9), component.due_s) == (1, 0, 11.8)
+    for asked in (said(REQUEST, 148.0), said(CAPABILITIES, 1.0, sender=STRANGER)):
+        answered(component, asked)
+        [version] = component.on_time(11.0, ready, faulted=True)  # once
+        can = wire.MAV_PROTOCOL_CAPABILITY_MAVLINK2 | wire.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+        ours = {"flight_sw_version": 0x010203FF, "capabilities": can}
+        assert_told(over_the_wire(version), "AUTOPILOT_VERSION", **ours)
+        assert beats(11.1) == 0
 
 
-def test_the_version_is_told_once_to_everybody_who_asks_for_it() -> None:
-    can = wire.MAV_PROTOCOL_CAPABILITY_MAVLINK2 | wire.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
-    for message in (
-        command_long(REQUEST, 148.0),
-        command_int(REQUEST, 148.0, sender=STRANGER),
-        command_long(CAPABILITIES, 1.0, sender=STRANGER),
-    ):
-        server = made()
-        assert results(message, server) == [ACCEPTED]
-        [version] = server.on_time(1.0, READY, faulted=True)
-        read = over_the_wire(version)
-        assert read.flight_sw_version == 1 << 24 | 2 << 16 | 3 << 8 | 255
-        assert read.capabilities == can
-        assert kinds_sent(server, 2.0) == ["HEARTBEAT"]
+def test_a_version_is_told_as_its_number() -> None:
     versions = {"0.1.0": 0x000100FF, "1.2": 0x010200FF, "300.1.1": 0xFF0101FF, "unknown": 0, "": 0}
     versions |= dict.fromkeys(("3.4.5rc2", "3.4.5.dev7", "3.4.5+local"), 0x03040500)
     assert {version: version_number(version) for version in versions} == versions

@@ -1,34 +1,38 @@
-"""The scanner that keeps the map of near things: what becomes known, and what is not believed."""
+"""The map of near things: what becomes known, what is not believed, and real posts."""
 
 import math
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from held import recorded
 from lidars import attitude, health, obstacle_distance
 from msgspec.structs import replace as changed
+from numpy.typing import NDArray
 from wires import wire
 
 from companion.config import load_mission
-from companion.mavlink.near_scanner import NearScanner
+from companion.geodesy import LocalFrame
+from companion.mavlink.autopilots.messages import position
+from companion.mavlink.near_scanner import ATTITUDE, OF_AUTOPILOT, NearScanner
+from companion.mavlink.near_sensing import NearSensing
 from companion.mavlink.poses import Poses
-from companion.mission.events import ScanDone
 from companion.mission.state import State
-from companion.world.near_map import Sight
+from companion.world.known_map import Lattice
+from companion.world.near_map import NearMap, NearSensor, Sight
 
 MISSION = load_mission("forest")
-PERIOD_S = 0.1
-HERE_NEA_M = (20.0, 20.0, 405.0)
 THING_M = 5.0
 """There is one of 10 degrees width in the north; beyond it nothing is seen."""
 GROUND_AMSL_M, CEILING_AMSL_M, RANGE_M = 400.5, 408.0, 16.0
 
 
-def sweep(time_s: float, *, thing: bool = True, component: int = 196, **fields: Any) -> Any:
+def sweep(time_s: float, *, component: int = 196, **fields: Any) -> Any:
     told = [1601] * 72
-    if thing:
-        told[71] = told[0] = told[1] = round(100.0 * THING_M)
+    told[71] = told[0] = told[1] = round(100.0 * THING_M)
     values = {"distances": told, "increment_f": 5.0, **fields}
     return obstacle_distance(time_s, reach_cm=1600, source=(1, component), **values)
 
@@ -36,72 +40,53 @@ def sweep(time_s: float, *, thing: bool = True, component: int = 196, **fields: 
 class Standing:
     """A scanner on a vehicle that stands still, at 10 Hz, and the map of its mission."""
 
-    def __init__(self, sweeps: int = 20, *, thing: bool = True) -> None:
+    def __init__(self) -> None:
         assert MISSION.known is not None
         self.poses, self.state = Poses(MISSION.frame), State.of(MISSION, MISSION.known)
         self.scanner = NearScanner(MISSION, self.poses)
-        self.now_s, self.here_nea_m = 100.0, HERE_NEA_M
-        self.run(sweeps, thing=thing)
+        self.now_s, self.here_nea_m = 100.0, (20.0, 20.0, 405.0)
+        self.run(20)
 
-    def tick(self, *messages: Any, thing: bool = True) -> Any:
-        """The messages, or one sweep, and a position after it; what it has seen."""
-        for message in messages or (sweep(self.now_s, thing=thing),):
-            self.scanner.on_message(message, self.now_s)
-        return self.move_on()
+    def run(self, count: int = 1, **fields: Any) -> list[Any]:
+        """So many sweeps, and a position after each; what it has seen."""
+        told = []
+        for _ in range(count):
+            self.scanner.on_message(sweep(self.now_s, **fields), self.now_s)
+            told.append(self.move_on())
+        return told
 
-    def move_on(self, by_s: float = PERIOD_S) -> Any:
+    def move_on(self, by_s: float = 0.1) -> Any:
         self.now_s += by_s
         self.poses.on_attitude(attitude(self.now_s))
         self.poses.on_position(self.now_s, self.here_nea_m)
         return self.scanner.seen(self.now_s)
 
-    def run(self, count: int, *, thing: bool = True) -> None:
-        for _ in range(count):
-            self.tick(thing=thing)
-
-    def begin(self) -> None:
+    def scan(self, *, takes: bool = True) -> None:
+        """One sweep is enough; takes: the mission puts it on its map."""
         self.scanner.begun(self.here_nea_m, self.state, self.now_s)
-
-    def done(self, *, takes: bool = True) -> ScanDone:
-        """A scan that is over; takes: the mission puts it on its map."""
+        self.run()
         done = self.scanner.done(self.now_s)
+        assert done is not None
+        assert done.answered == 1
         if takes:
             known = self.state.flight.known.with_scan(done.scan)
             self.state = changed(self.state, flight=changed(self.state.flight, known=known))
-        return done
 
-    def scan(self, *, thing: bool = True, takes: bool = True) -> None:
-        self.begin()
-        self.tick(thing=thing)
-        assert self.done(takes=takes).answered == 1
-
-    def upper_m(self, north_m: float, east_m: float = 20.0) -> float:
+    def upper_m(self, north_m: float) -> float:
         known = self.state.flight.known
-        return float(known.upper_m[known.cell_of(north_m, east_m)])
+        return float(known.upper_m[known.cell_of(north_m, 20.0)])
 
 
 def test_a_scan_puts_on_the_map_what_is_free_what_is_closed_and_nothing_else() -> None:
     """Nor what others say of obstacles, or we, when somebody mirrors it."""
     it = Standing()
     for component in (1, 195, 197) * 7:
-        it.tick(sweep(it.now_s, component=component, distances=[100] * 72))
+        it.run(component=component, distances=[100] * 72)
     it.scan()
-    for north_m in (15.0, 19.0, 20.0, 22.0):  # behind, below and before it
-        assert it.upper_m(north_m) == GROUND_AMSL_M
-    assert it.upper_m(20.0 + THING_M) == CEILING_AMSL_M + RANGE_M
-    assert it.upper_m(20.0 + THING_M + 3.0) == it.upper_m(60.0) == math.inf
-
-
-def test_a_later_scan_takes_back_what_is_not_free_any_more_and_frees_what_has_gone() -> None:
-    it = Standing(thing=False)
-    it.begin()
-    it.scan()
-    it.run(10)
-    it.scan()
-    assert it.upper_m(20.0 + THING_M) > CEILING_AMSL_M
-    it.run(40, thing=False)
-    it.scan(thing=False)
-    assert it.upper_m(20.0 + THING_M) == GROUND_AMSL_M
+    free = dict.fromkeys((15.0, 19.0, 20.0, 22.0), GROUND_AMSL_M)  # behind, below and before it
+    closed = {20.0 + THING_M: CEILING_AMSL_M + RANGE_M}
+    expected = {**free, **closed, 20.0 + THING_M + 3.0: math.inf, 60.0: math.inf}
+    assert {north_m: it.upper_m(north_m) for north_m in expected} == expected
 
 
 def test_what_a_scan_told_that_nobody_took_is_told_again() -> None:
@@ -121,29 +106,28 @@ def test_a_scan_waits_for_a_new_sweep_and_no_longer_than_it_may_and_changes_noth
     it = Standing()
     it.scan()
     before = it.state.flight.known
-    it.begin()
+    it.scanner.begun(it.here_nea_m, it.state, it.now_s)
     for wait_s in (0.0, 0.05):
         it.move_on(wait_s)
         assert it.scanner.done(it.now_s) is None
     it.move_on(1.0)
-    done = it.done()
+    done: Any = it.scanner.done(it.now_s)
     assert (done.asked, done.answered) == (1, 0)
-    np.testing.assert_array_equal(it.state.flight.known.upper_m, before.upper_m)
+    np.testing.assert_array_equal(before.with_scan(done.scan).upper_m, before.upper_m)
 
 
 def test_a_healthy_sensor_of_the_autopilot_that_sees_nothing_has_answered() -> None:
     assert MISSION.near is not None
     assert MISSION.known is not None
     of = replace(MISSION, near=replace(MISSION.near, kind="distance_sensor", component_id=1))
-    scanner, bit = NearScanner(of, Poses(of.frame)), wire.MAV_SYS_STATUS_SENSOR_PROXIMITY
-    for now_s, answered in ((100.0, 1), (105.0, 0)):
-        scanner.on_message(health(bit, well=bool(answered)), now_s)
-        seen = scanner.seen(now_s)
-        assert seen is not None
-        assert seen.sight is (Sight.NOTHING_THERE if answered else Sight.NEVER_HEARD)
-        scanner.begun(HERE_NEA_M, State.of(of, MISSION.known), now_s)
-        done = scanner.done(now_s + 1.0)
-        assert done.answered == answered
+    scanner = NearScanner(of, Poses(of.frame))
+    for now_s, well, sight in ((100.0, 1, Sight.NOTHING_THERE), (105.0, 0, Sight.NEVER_HEARD)):
+        scanner.on_message(health(well=bool(well)), now_s)
+        seen: Any = scanner.seen(now_s)
+        assert seen.sight is sight
+        scanner.begun((20.0, 20.0, 405.0), State.of(of, MISSION.known), now_s)
+        done: Any = scanner.done(now_s + 1.0)
+        assert done.answered == well
 
 
 @pytest.mark.parametrize("clock_s", [None, 2.0], ids=["runs on", "begins anew"])
@@ -152,5 +136,70 @@ def test_silence_is_told_once_and_so_is_the_return_of_sight(clock_s: float | Non
     it.now_s = clock_s or it.now_s
     told = [it.move_on() for _ in range(30)]
     assert [seen.sight for seen in told if seen] == [Sight.DEAD]
-    seen = [it.tick() for _ in range(3)]
-    assert all(each is not None and each.sight is Sight.SEES for each in seen)
+    assert [seen.sight for seen in it.run(3)] == [Sight.SEES] * 3
+
+
+# --- what a lidar behind a real autopilot saw among posts of known place (recordings/README.md)
+
+HOME = LocalFrame(latitude_deg=51.8752066, longitude_deg=14.6487830)
+LIDAR = NearSensor(kind="distance_sensor", component_id=1, range_m=16.0, blind_m=0.2)
+POSTS = np.array([(3 + 10 * i, 2 + 10 * j) for i in range(-10, 10) for j in range(-10, 10)])
+LATTICE = Lattice(cell_m=0.25, north_min_m=-150.0, east_min_m=-150.0, shape=(1200, 1200))
+
+
+def seen(until_s: float) -> Iterator[tuple[float, NDArray[np.float64], NearSensing]]:
+    """Vehicle time, place and what the lidar says, at each position."""
+    read = {wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, ATTITUDE, *OF_AUTOPILOT}
+    poses, now_s = Poses(HOME), 0.0
+    sensing = NearSensing(LIDAR, poses)
+    for _, message in recorded("arducopter-lidar.tlog", frozenset(wire.mavlink_map) - read):
+        if (message.get_srcSystem(), message.get_srcComponent()) != (1, 1):
+            continue
+        if message.get_msgId() == ATTITUDE:
+            poses.on_attitude(message)
+        elif message.get_msgId() in OF_AUTOPILOT:
+            sensing.on_message(message, now_s)
+        elif (told := position(message, 0.0, HOME)) is not None:
+            now_s = told.time_s
+            if now_s >= until_s:
+                return
+            poses.on_position(now_s, told.position_nea_m)
+            yield now_s, np.array(told.position_nea_m[:2]), sensing
+
+
+def test_times_of_silence_are_told_apart() -> None:
+    """219.7 to 244.2 s no sector had an echo, which counts after half a second; it was well."""
+    seconds, before_s = Counter[Sight](), 210.0
+    for now_s, _, sensing in seen(250.0):
+        if now_s > before_s:
+            seconds[sensing.sight(now_s)] += now_s - before_s
+            before_s = now_s
+    assert seconds[Sight.NOTHING_THERE] == pytest.approx(24.0, abs=0.5)
+    assert seconds[Sight.SEES] == pytest.approx(16.0, abs=0.5)
+
+
+def cells_of(points: NDArray[np.float64]) -> tuple[Any, Any]:
+    low = np.array([LATTICE.north_min_m, LATTICE.east_min_m])
+    cells = np.floor((points - low) / LATTICE.cell_m).astype(int)
+    return cells[:, 0], cells[:, 1]
+
+
+@pytest.mark.parametrize("until_s", [110.0, pytest.param(220.0, marks=pytest.mark.nightly)])
+def test_at_no_time_is_a_post_free_and_the_space_between_is(until_s: float) -> None:
+    turn = np.linspace(0.0, math.tau, 100)  # 6 cm apart: a cell has 25
+    around = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    surfaces = (POSTS[:, None] + around).reshape(-1, 2)
+    near, share, looked_s = NearMap(LATTICE), [], 55.0
+    for now_s, here, sensing in seen(until_s):
+        for each in sensing.sweeps():
+            near.add(each)
+        if now_s < looked_s:
+            continue
+        looked_s = now_s + 2.0
+        assert not near.free()[cells_of(np.concatenate([surfaces, POSTS]))].any(), now_s
+        disc = here + 4.0 * np.random.default_rng(1).uniform(-1.0, 1.0, (500, 2))
+        apart = np.hypot(*(disc[:, None] - POSTS[None]).transpose(2, 0, 1)).min(axis=1) - 1.0
+        inside = np.hypot(*(disc - here).T) < 4.0
+        share.append(near.free()[cells_of(disc[inside & (apart > 0.75)])].mean())
+    assert len(share) > 0.45 * (until_s - 55.0)
+    assert np.mean(share) > 0.85

@@ -1,4 +1,4 @@
-"""What lidars say, message by message (between real posts: test_recorded_lidar.py)."""
+"""What lidars say, message by message (between real posts: test_near_scanner.py)."""
 
 import math
 from collections.abc import Callable, Iterable
@@ -9,6 +9,8 @@ from typing import Any
 import lidars
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from lidars import attitude, beam, health
 from wires import FRAME, wire
 
@@ -22,6 +24,7 @@ BEHIND_AUTOPILOT = NearSensor(
 )
 NOW_S = 10.0
 UNKNOWN = 65_535
+WELL = health(well=True)
 obstacle_distance = partial(lidars.obstacle_distance, NOW_S)
 
 
@@ -41,115 +44,86 @@ def read(message: Any, poses: Poses | None = None, sensor: NearSensor = LIDAR) -
     return sweep
 
 
-def clear_towards_m(sweep: Sweep, bearing_deg: float) -> float:
-    bearing = np.array([math.radians(bearing_deg)])
-    return float(sweep.clear_between_m(bearing, np.full(1, 1e-6))[0])
+def clear_m(sweep: Sweep, *bearings_deg: float) -> Any:
+    """How far it is clear towards these bearings."""
+    bearings = np.radians(bearings_deg)
+    return pytest.approx(sweep.clear_between_m(bearings, np.full(len(bearings), 1e-6)).tolist())
 
 
-def test_a_sector_says_how_far_it_is_clear_about_its_own_direction() -> None:
-    sweep = read(obstacle_distance([500, 600]))
-    for bearing, distance in ((-2.4, 5.0), (0.0, 5.0), (2.4, 5.0), (2.6, 6.0), (7.6, 20.0)):
-        assert clear_towards_m(sweep, bearing) == pytest.approx(distance)
-    assert sweep.echo_m[:3] == pytest.approx([5.0, 6.0, math.inf])
-    assert sweep.sensor_ne_m == (3.0, 4.0)
-    turned = replace(LIDAR, yaw_rad=math.pi, forward_m=0.5, right_m=0.2)
-    sweep = read(obstacle_distance([500]), standing(math.radians(90.0)), turned)
-    assert clear_towards_m(sweep, -90.0) == pytest.approx(5.0)
-    assert sweep.sensor_ne_m == pytest.approx((3.0 - 0.2, 4.0 + 0.5))
+MEANINGS = {UNKNOWN: 0.0, 0: 0.0, 19: 0.0, 20: 0.2, 500: 5.0, 1999: 19.99, 2000: 0.0, 2001: 20.0}
+"""Centimetres between 20 and 2000, and how far it is clear.  What is as far as the sensor sees may
+be nothing, or a wrong "nothing": it says nothing."""
+NORTH = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_LOCAL_NED)
+FRAMES = (wire.MAV_FRAME_BODY_FRD, wire.MAV_FRAME_BODY_NED, *NORTH)
+WIDTHS_DEG = [*({"increment": width} for width in (1, 3, 10, 90, 255)), {"increment_f": -7.0}]
+WIDTHS_DEG += [{"increment": 7, "increment_f": width} for width in (5.0, 2.5, -5.0)]
+angles_deg = st.floats(-180.0, 180.0, width=32)
+distances_cm = st.lists(st.sampled_from([*MEANINGS]), min_size=72, max_size=72)
 
 
-@pytest.mark.parametrize("yaw_deg", [0.0, 90.0, -130.0])
-def test_frames_offsets_and_turning_senses_all_mean_the_same_place(yaw_deg: float) -> None:
-    """One thing 5 m away in the true direction of 60 degrees."""
-    poses, at = standing(math.radians(yaw_deg)), round((60.0 - yaw_deg) / 5.0) % 72
-
-    def thing(place: int) -> list[int]:
-        return [500 if k == place % 72 else 2001 for k in range(72)]
-
-    said = [
-        obstacle_distance(thing(at)),
-        obstacle_distance(thing(at), increment=7, increment_f=5.0),
-        obstacle_distance(thing(at - 9), angle_offset=45.0),
-        obstacle_distance(thing(-at), increment_f=-5.0),
-        obstacle_distance(thing(12), frame=wire.MAV_FRAME_GLOBAL),
-        obstacle_distance(thing(12), frame=wire.MAV_FRAME_LOCAL_NED),
-    ]
-    for message in said:
-        sweep = read(message, poses)
-        assert clear_towards_m(sweep, 60.0) == pytest.approx(5.0), message
-        assert clear_towards_m(sweep, 66.0) == pytest.approx(20.0), message
+@given(
+    distances_cm,
+    st.sampled_from(WIDTHS_DEG),
+    st.sampled_from(FRAMES),
+    st.tuples(angles_deg, angles_deg, angles_deg),
+)
+def test_each_sector_says_how_far_it_is_clear_about_its_own_direction(
+    told_cm: list[int], width: dict[str, Any], frame: int, angles: tuple[float, float, float]
+) -> None:
+    """Of the nose, as it is mounted, or of true north; more than a turn of them is left out."""
+    yaw_deg, mounted_deg, offset_deg = angles
+    width_deg = width.get("increment_f", width.get("increment", 0.0))
+    turn = math.radians(yaw_deg)
+    sensor = replace(LIDAR, yaw_rad=math.radians(mounted_deg), forward_m=0.5, right_m=0.2)
+    message = obstacle_distance(told_cm, **width, angle_offset=offset_deg, frame=frame)
+    sweep = read(message, standing(turn), sensor)
+    first_deg = offset_deg + (0.0 if frame in NORTH else yaw_deg + mounted_deg)
+    count = min(72, int(360.0 // abs(width_deg)))
+    for k in range(count):
+        bearings = (first_deg + (k + aside) * width_deg for aside in (-0.49, 0.0, 0.49))
+        assert clear_m(sweep, *bearings) == [MEANINGS[told_cm[k]]] * 3
+    if left_deg := 360.0 - count * abs(width_deg):
+        half_deg = math.copysign(0.5 * (abs(width_deg) + left_deg), width_deg)
+        assert clear_m(sweep, first_deg - half_deg) == [0.0]
+    echoes = sum(told in (20, 500, 1999) for told in told_cm[:count])
+    assert np.isfinite(sweep.echo_m).sum() == echoes
+    north_m = 3.0 + 0.5 * math.cos(turn) - 0.2 * math.sin(turn)
+    east_m = 4.0 + 0.5 * math.sin(turn) + 0.2 * math.cos(turn)
+    assert sweep.sensor_ne_m == pytest.approx((north_m, east_m))
 
 
 def test_a_tilted_beam_says_nothing_of_what_lies_beyond_its_slab() -> None:
     tilt = math.radians(20.0)
     sweep = read(obstacle_distance([2001]), standing(pitch_rad=-tilt))  # nose down
-    ahead_m = LIDAR.speaks_for_m / math.tan(tilt)
-    assert clear_towards_m(sweep, 0.0) == pytest.approx(ahead_m)
-    assert clear_towards_m(sweep, 90.0) == pytest.approx(20.0, abs=0.1)
+    assert clear_m(sweep, 0.0) == [LIDAR.speaks_for_m / math.tan(tilt)]
+    assert sweep.clear_m[18] == pytest.approx(20.0, abs=0.1)  # aside
     level = read(obstacle_distance([400]), standing(pitch_rad=-tilt))
     assert level.echo_m[0] == pytest.approx(4.0 * math.cos(tilt))
 
 
-@pytest.mark.parametrize(
-    ("told", "clear_m"),
-    [(UNKNOWN, 0.0), (0, 0.0), (19, 0.0), (20, 0.2), (1999, 19.99), (2000, 0.0), (2001, 20.0)],
-)
-def test_what_a_distance_means(told: int, clear_m: float) -> None:
-    """What is as far as the sensor sees may be nothing, or a wrong "nothing": it says nothing."""
-    sweep = read(obstacle_distance([told]))
-    assert sweep.clear_m[0] == pytest.approx(clear_m)
-    assert math.isinf(sweep.echo_m[0]) == (told not in (20, 1999))
+def test_a_message_that_cannot_be_understood_says_nothing() -> None:
+    frames = (wire.MAV_FRAME_GLOBAL_TERRAIN_ALT, wire.MAV_FRAME_LOCAL_FRD)
+    for fields in (
+        *({"increment": 0}, {"increment_f": math.nan}, {"increment_f": 361.0}),
+        *({"angle_offset": math.inf}, {"min_distance": 2000}, *({"frame": f} for f in frames)),
+    ):
+        sensing = NearSensing(LIDAR, standing())
+        sensing.on_obstacle_distance(obstacle_distance([500], **fields), NOW_S)
+        assert (sensing.sweeps(), sensing.sight(NOW_S)) == ([], Sight.NEVER_HEARD), fields
 
 
-@pytest.mark.parametrize(
-    "fields",
-    [
-        {"increment": 0},
-        {"increment_f": math.nan},
-        {"increment_f": 361.0},
-        {"angle_offset": math.inf},
-        {"frame": wire.MAV_FRAME_GLOBAL_TERRAIN_ALT},
-        {"frame": wire.MAV_FRAME_LOCAL_FRD},
-        {"min_distance": 2000},
-    ],
-)
-def test_a_message_that_cannot_be_understood_says_nothing(fields: dict[str, Any]) -> None:
-    sensing = NearSensing(LIDAR, standing())
-    sensing.on_obstacle_distance(obstacle_distance([500], **fields), NOW_S)
-    assert sensing.sweeps() == []
-    assert sensing.sight(NOW_S) is Sight.NEVER_HEARD
-
-
-@pytest.mark.parametrize("increment", [1, 3, 7, 10, 90, 255])
-def test_sectors_that_are_more_than_a_turn_or_less_are_taken_as_they_are(increment: int) -> None:
-    sweep = read(obstacle_distance([500] * 72, increment=increment))
-    covered = min(72, 360 // increment)
-    assert len(sweep.clear_m) == covered
-    assert clear_towards_m(sweep, 0.0) == pytest.approx(5.0)
-    left = 360.0 - covered * increment
-    if left > 0.0:
-        assert clear_towards_m(sweep, -0.5 * (increment + left)) == 0.0
-
-
-@pytest.mark.parametrize(
-    ("stamps_s", "heard_s", "taken_s"),
-    [
-        # a stamp of another clock counts as now
-        ((0.0, 1.795e9, 15.0), (NOW_S, NOW_S + 0.1, NOW_S + 0.2), (0, 1, 2)),
-        # told again at once it is one sweep: a driver at 125 Hz would prove more than a turn
-        ([NOW_S + 0.008 * k for k in range(20)],) * 2 + (range(0, 20, 4),),
-    ],
-)
-def test_sweeps_are_of_their_time_and_no_more_than_thirty_a_second(
-    stamps_s: list[float], heard_s: list[float], taken_s: Iterable[int]
-) -> None:
-    sensing = NearSensing(LIDAR, standing())
-    for stamp_s, now_s in zip(stamps_s, heard_s, strict=True):
-        sensing.on_obstacle_distance(
-            obstacle_distance([500], time_usec=round(stamp_s * 1e6)), now_s
-        )
-    expected = [heard_s[number] for number in taken_s]
-    assert [sweep.time_s for sweep in sensing.sweeps()] == pytest.approx(expected)
+def test_sweeps_are_of_their_time_and_no_more_than_thirty_a_second() -> None:
+    at_125_hz = [NOW_S + 0.008 * k for k in range(20)]  # else they would prove more than a turn
+    for stamps_s, heard_s, taken in (
+        (at_125_hz, at_125_hz, range(0, 20, 4)),  # told again at once it is one sweep
+        ((0.0, 1.795e9, 15.0), (10.0, 10.1, 10.2), range(3)),  # of another clock: counts as now
+    ):
+        sensing = NearSensing(LIDAR, standing())
+        for stamp_s, now_s in zip(stamps_s, heard_s, strict=True):
+            message = obstacle_distance([500], time_usec=round(stamp_s * 1e6))
+            sensing.on_obstacle_distance(message, now_s)
+        expected = [heard_s[number] for number in taken]
+        assert [sweep.time_s for sweep in sensing.sweeps()] == pytest.approx(expected)
 
 
 def test_a_measurement_waits_until_the_pose_of_its_time_is_known_which_is_not_guessed() -> None:
@@ -164,14 +138,13 @@ def test_a_measurement_waits_until_the_pose_of_its_time_is_known_which_is_not_gu
     poses.on_attitude(attitude(NOW_S + 0.1, 0.0, 0.0, math.radians(-175.0)))
     (sweep,) = sensing.sweeps()
     assert sweep.sensor_ne_m == pytest.approx((1.0, 2.0))
-    assert clear_towards_m(sweep, 180.0) == pytest.approx(5.0)
-    poses.on_position(NOW_S + 2.1, (2.0, 4.0, 6.0))
+    assert clear_m(sweep, 180.0) == [5.0]
+    for at_s in (2.1, 2.2):
+        poses.on_position(NOW_S + at_s, (2.0, 4.0, 6.0))
     poses.on_attitude(attitude(NOW_S + 2.1))
-    assert poses.at(NOW_S + 1.0) is None  # they are too far apart
-    assert poses.at(NOW_S + 2.1) is not None
-    assert poses.at(NOW_S + 2.2) is None
     poses.on_attitude(attitude(NOW_S + 2.2, math.nan, 0.0, 0.0))
-    assert poses.at(NOW_S + 2.15) is None
+    known = {after_s: poses.at(NOW_S + after_s) is not None for after_s in (1.0, 2.1, 2.15, 2.2)}
+    assert known == {1.0: False, 2.1: True, 2.15: False, 2.2: False}  # or too far apart
 
 
 def test_sight_is_told_apart_from_a_sensor_that_is_dead_or_sees_nothing() -> None:
@@ -184,25 +157,23 @@ def test_sight_is_told_apart_from_a_sensor_that_is_dead_or_sees_nothing() -> Non
     sensing.on_distance_sensor(beam(NOW_S - 0.1), NOW_S)
     assert sensing.sight(NOW_S + 0.3) is Sight.SEES
     for well, sight in ((True, Sight.NOTHING_THERE), (False, Sight.DEAD)):
-        sensing.on_health(health(wire.MAV_SYS_STATUS_SENSOR_PROXIMITY, well=well), NOW_S + 1.0)
+        sensing.on_health(health(well=well), NOW_S + 1.0)
         assert sensing.sight(NOW_S + 1.5) is sight
 
 
-@pytest.mark.parametrize(
-    ("component", "fields", "is_taken"),
-    [
-        (1, {"id": 10}, True),
-        (1, {"id": 0}, False),  # a rangefinder of ArduPilot that looks ahead
-        (1, {"id": 17, "horizontal_fov": math.radians(3.0)}, False),
-        (158, {"id": 0}, True),
-        (158, {"id": 0, "horizontal_fov": math.radians(45.0)}, True),
-        (158, {"id": 0, "horizontal_fov": math.radians(27.0)}, False),
-    ],
-)
-def test_a_beam_is_no_sector(component: int, fields: dict[str, Any], is_taken: bool) -> None:
-    sensing = NearSensing(BEHIND_AUTOPILOT, standing())
-    sensing.on_distance_sensor(beam(NOW_S - 0.05, source=(1, component), **fields), NOW_S)
-    assert (sensing.sight(NOW_S) is Sight.SEES) == is_taken
+def test_a_beam_is_no_sector() -> None:
+    for component, number, field_deg, is_taken in (
+        (1, 10, 0.0, True),
+        (1, 0, 0.0, False),  # a rangefinder of ArduPilot that looks ahead
+        (1, 17, 3.0, False),
+        (158, 0, 0.0, True),
+        (158, 0, 45.0, True),
+        (158, 0, 27.0, False),
+    ):
+        sensing = NearSensing(BEHIND_AUTOPILOT, standing())
+        fields = {"id": number, "horizontal_fov": math.radians(field_deg)}
+        sensing.on_distance_sensor(beam(NOW_S - 0.05, source=(1, component), **fields), NOW_S)
+        assert (sensing.sight(NOW_S) is Sight.SEES) == is_taken
 
 
 def test_sectors_whose_stamp_stands_still_go_on() -> None:
@@ -213,13 +184,13 @@ def test_sectors_whose_stamp_stands_still_go_on() -> None:
 
 
 def flown(
-    sensor: NearSensor, seconds: float, told: Callable[[int], Iterable[Any]], every_s: float = 0.05
+    sensor: NearSensor, seconds: float, told: Callable[[int], Iterable[Any]]
 ) -> tuple[NearSensing, list[Sweep]]:
-    """What is made of messages, told k-th of them, that come as time goes on; it flies level."""
+    """What is made of messages, told k-th of them, at 20 Hz; it flies level."""
     poses, sweeps = Poses(FRAME), list[Sweep]()
     sensing = NearSensing(sensor, poses)
-    for k in range(round(seconds / every_s)):
-        now_s = NOW_S + every_s * k
+    for k in range(round(seconds * 20.0)):
+        now_s = NOW_S + 0.05 * k
         poses.on_position(now_s, (0.0, 0.0, 5.0))
         poses.on_attitude(attitude(now_s))
         for message in told(k):
@@ -258,13 +229,13 @@ def test_what_silence_about_a_sector_means(
     sectors: Any, but: range, told_then: Any, seconds: float, expected_m: str
 ) -> None:
     """A thing in these sectors at 20 Hz, but for some sets; of another driver silence says none."""
-    expected = [float(clear_m) for clear_m in expected_m.split()]
-    for component, clear_m in ((1, expected), (158, [7.0 * (m == 7.0) for m in expected])):
+    expected = [float(each) for each in expected_m.split()]
+    for component, clear in ((1, expected), (158, [7.0 * (m == 7.0) for m in expected])):
         sensor = replace(BEHIND_AUTOPILOT, component_id=component)
         beams = lambda k: [  # noqa: E731
             beam(0.0, orientation=sector) for sector in (told_then if k in but else sectors)
         ]
-        assert flown(sensor, seconds, beams)[1][-1].clear_m == pytest.approx(clear_m)
+        assert flown(sensor, seconds, beams)[1][-1].clear_m == pytest.approx(clear)
 
 
 def test_how_far_it_sees_is_the_least_that_its_newest_messages_say() -> None:
@@ -282,7 +253,6 @@ def test_how_far_it_sees_is_the_least_that_its_newest_messages_say() -> None:
     assert sweeps[-1].clear_m[:3] == pytest.approx([9.0, 8.0, BEHIND_AUTOPILOT.range_m])
     assert sensing.limits_m == pytest.approx((0.5, 8.0))
     # nor does its silence show more, where R is more than it sees: 16 m of 40
-    well = health(wire.MAV_SYS_STATUS_SENSOR_PROXIMITY, well=True)
-    told = lambda k: [beam(0.0)] if k < 2 else [well] * (k % 20 == 0)  # noqa: E731
+    told = lambda k: [beam(0.0)] if k < 2 else [WELL] * (k % 20 == 0)  # noqa: E731
     _, sweeps = flown(replace(BEHIND_AUTOPILOT, range_m=40.0), 5.0, told)
     assert sweeps[-1].clear_m.max() == pytest.approx(16.0)

@@ -1,64 +1,68 @@
-"""The downward rangefinder against a known map, on ground whose height is known everywhere."""
+"""The downward rangefinder against a known map."""
 
 import math
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from lidars import attitude, beam
+from scipy.spatial.transform import Rotation
 from wires import FRAME
 
 from companion.mavlink.poses import Poses
 from companion.mavlink.rangefinder import Rangefinder
-from companion.mission.events import GroundSeen
 from companion.world.known_map import KnownMap
 
 MAP_M, ERROR_M, ALTITUDE_M = 400.0, 1.0, 408.0
 
 
-def known(upper_m: Any = MAP_M) -> KnownMap:
-    """Cells of 2 m; the vehicle is in the middle of them."""
-    heights = np.broadcast_to(np.asarray(upper_m, dtype=np.float64), (40, 40)).copy()
-    return KnownMap(
-        cell_m=2.0, north_min_m=-40.0, east_min_m=-40.0, upper_m=heights, seen=np.isfinite(heights)
+def above_m(
+    *distances_m: float, lean: tuple[float, float, float] = (0.0, 0.0, 0.0), **fields: Any
+) -> list[float]:
+    """What it makes of readings at 10 Hz, a position after each, over the middle of a map.
+
+    Its cells are 2 m wide; low_to, beyond_m: from this column on so much is known of the ground.
+    """
+    upper = np.full((40, 40), MAP_M)
+    upper[:, fields.pop("low_to", 40) :] = fields.pop("beyond_m", MAP_M)
+    known = KnownMap(
+        cell_m=2.0, north_min_m=-40.0, east_min_m=-40.0, upper_m=upper, seen=np.isfinite(upper)
     )
+    poses, found = Poses(FRAME), []
+    finder, now_s = Rangefinder(poses, ERROR_M), 50.0
+    for distance_m in distances_m:
+        poses.on_attitude(attitude(now_s, *lean))
+        values = {"orientation": 25, "max_distance": 4000, "id": 0, **fields}
+        finder.on_message(beam(now_s, round(100.0 * distance_m), **values), now_s)
+        assert finder.seen(now_s, known) is None  # where it is, is not known yet
+        poses.on_position(now_s, (0.0, 0.0, ALTITUDE_M))
+        found.append(finder.seen(now_s, known))
+        now_s += 0.1
+    return [seen.above_m for seen in found if seen is not None]
 
 
-class Hovering:
-    """Over the middle of the map, at 10 Hz."""
-
-    def __init__(self, of: KnownMap, *, lean: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
-        self.known, self.lean, self.now_s = of, lean, 50.0
-        self.poses = Poses(FRAME)
-        self.finder = Rangefinder(self.poses, ERROR_M)
-
-    def reads(self, *distances_m: float, **fields: Any) -> list[GroundSeen]:
-        """What it makes of these, one after the other, and a position after each."""
-        found = []
-        for distance_m in distances_m:
-            self.poses.on_attitude(attitude(self.now_s, *self.lean))
-            values = {"orientation": 25, "max_distance": 4000, "id": 0, **fields}
-            read = beam(self.now_s, round(100.0 * distance_m), **values)
-            self.finder.on_message(read, self.now_s)
-            self.poses.on_position(self.now_s, (0.0, 0.0, ALTITUDE_M))
-            if (seen := self.finder.seen(self.now_s, self.known)) is not None:
-                found.append(seen)
-            self.now_s += 0.1
-        return found
-
-
-@given(ground_m=st.floats(380.0, 406.0), roll=st.floats(-0.5, 0.5), pitch=st.floats(-0.5, 0.5))
-def test_higher_ground_is_told(ground_m: float, roll: float, pitch: float) -> None:
-    """However the vehicle leans; what it is told is by how much."""
-    slant_m = (ALTITUDE_M - ground_m) / (math.cos(roll) * math.cos(pitch))
-    found = Hovering(known(), lean=(roll, pitch, 0.7)).reads(*[slant_m] * 6)
-    above_m = ground_m - MAP_M
-    if abs(above_m - ERROR_M) > 0.02:
-        assert bool(found) == (above_m > ERROR_M)
-    for each in found:
-        assert each.above_m == pytest.approx(above_m, abs=0.02)
+@given(
+    ground_m=st.floats(385.0, 406.0),
+    lean=st.tuples(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6), st.floats(-math.pi, math.pi)),
+    low_to=st.integers(16, 26),
+    beyond_m=st.sampled_from([MAP_M + 5.0, math.inf]),
+)
+def test_ground_higher_than_the_map_where_the_beam_ends_is_told(
+    ground_m: float, lean: tuple[float, float, float], low_to: int, beyond_m: float
+) -> None:
+    """However the vehicle leans, and by how much; not where nothing is known."""
+    down = Rotation.from_euler("ZYX", lean[::-1]).apply((0.0, 0.0, 1.0))  # north, east, down
+    slant_m = (ALTITUDE_M - ground_m) / down[2]
+    column = (slant_m * down[1] + 40.0) / 2.0
+    highest_m = MAP_M if math.floor(column) + 1 < low_to else beyond_m  # of the cells about it
+    expected_m = ground_m - highest_m
+    assume(abs(column % 1.0 - 0.5) < 0.45)  # a reading is of whole centimetres
+    assume(abs(expected_m - ERROR_M) > 0.02)
+    found = above_m(*[slant_m] * 6, lean=lean, low_to=low_to, beyond_m=beyond_m)
+    assert bool(found) == (expected_m > ERROR_M)
+    assert found == pytest.approx([expected_m] * len(found), abs=0.02)
 
 
 UNBELIEVED: list[dict[str, int]] = [
@@ -75,7 +79,7 @@ UNBELIEVED: list[dict[str, int]] = [
 
 
 @pytest.mark.parametrize(
-    ("distances_m", "fields", "above_m"),
+    ("distances_m", "fields", "expected_m"),
     [
         # for as long as it lasts, and once when it is over
         ([5.0] * 9 + [8.0] * 13, {}, [3.0] * 6 + [0.0]),
@@ -84,28 +88,5 @@ UNBELIEVED: list[dict[str, int]] = [
         *(([3.0] * 8, fields, []) for fields in UNBELIEVED),
     ],
 )
-def test_what_readings_say(distances_m: Any, fields: dict[str, int], above_m: list[float]) -> None:
-    found = Hovering(known()).reads(*distances_m, **fields)
-    assert [each.above_m for each in found] == pytest.approx(above_m)
-
-
-@pytest.mark.parametrize(
-    ("lean_deg", "low_to", "is_told"),
-    [
-        # nose up by 45 degrees, towards the east: its foot is 3 m to the east
-        ((0.0, 45.0, 90.0), 23, True),
-        ((0.0, 45.0, 90.0), 21, False),
-        ((0.0, 45.0, -90.0), 21, True),
-        ((45.0, 0.0, 0.0), 21, True),  # right side down: the foot lies to the left, west
-        ((-45.0, 0.0, 0.0), 21, False),
-    ],
-)
-@pytest.mark.parametrize("beyond_m", [MAP_M + 5.0, math.inf])  # where nothing is known, too
-def test_the_beam_is_compared_with_the_map_where_it_ends(
-    lean_deg: tuple[float, float, float], low_to: int, is_told: bool, beyond_m: float
-) -> None:
-    upper = np.full((40, 40), MAP_M)
-    upper[:, low_to:] = beyond_m
-    roll, pitch, yaw = map(math.radians, lean_deg)
-    found = Hovering(known(upper), lean=(roll, pitch, yaw)).reads(*[3.0 * math.sqrt(2.0)] * 6)
-    assert bool(found) is is_told
+def test_what_readings_say(distances_m: Any, fields: dict[str, int], expected_m: Any) -> None:
+    assert above_m(*distances_m, **fields) == pytest.approx(expected_m)

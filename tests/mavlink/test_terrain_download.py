@@ -6,12 +6,16 @@ mask", "terrain data MSL"; data[x * 4 + y] with x north and y east (ArduPilot's 
 """
 
 import math
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from wires import FRAME, GEOD, wire
+from hypothesis import given
+from hypothesis import strategies as st
+from wires import FRAME, GEOD, heard
 
 from companion.config import load_mission
 from companion.mavlink.terrain_download import TerrainDownload, areas
@@ -19,32 +23,18 @@ from companion.mission.state import State
 from companion.world.known_map import NOT_SEEN, KnownMap, Scan, empty_map
 
 CELL_M = 250.0
-RANGE_M = 6000.0
 CORNER = (100_000.0, 100_000.0)
 HERE = (100_000.0, 100_000.0, 3000.0)
 MAP = empty_map(CELL_M, (-5000.0, 105_000.0), (-5000.0, 105_000.0))
 DEADLINE_S = 4.0
 VALLEY = load_mission("valley")
+DRIFT_M = 30.0
 MISSION = replace(
-    VALLEY,
-    frame=FRAME,
-    position_rate_hz=VALLEY.task.limits.speed_m_s / 15.0,  # drift: 30 m
+    VALLEY, frame=FRAME, position_rate_hz=2.0 * VALLEY.task.limits.speed_m_s / DRIFT_M
 )
 
-
-def local(latitude: float, longitude: float) -> tuple[float, float]:
-    """North, east in the azimuthal equidistant frame, by the geodesic from its origin."""
-    azimuth, _, distance = GEOD.inv(8.0, 47.0, longitude, latitude)
-    return distance * math.cos(math.radians(azimuth)), distance * math.sin(math.radians(azimuth))
-
-
-def place(request: Any, north_m: float, east_m: float) -> tuple[float, float]:
-    """Latitude, longitude of a point true north and true east of the request's corner."""
-    azimuth = math.degrees(math.atan2(east_m, north_m))
-    longitude, latitude, _ = GEOD.fwd(
-        request.lon * 1e-7, request.lat * 1e-7, azimuth, math.hypot(north_m, east_m)
-    )
-    return latitude, longitude
+Heights = Callable[[Any, int], list[int]]
+"""Of the 16 cells of a block, by its bit in a request."""
 
 
 def height_m(north_m: float, east_m: float) -> float:
@@ -52,12 +42,17 @@ def height_m(north_m: float, east_m: float) -> float:
     return 0.1 * (north_m - 100_000.0) + 0.013 * (east_m - 100_000.0) + 1000.0
 
 
-def heights(request: Any, bit: int) -> list[int]:
-    """Of the 16 cells of a block, at their middles: x (north) is the slower index."""
-    row, column = divmod(bit, 8)
-    cells = [(4 * row + x + 0.5, 4 * column + y + 0.5) for x in range(4) for y in range(4)]
-    s = request.grid_spacing
-    return [round(height_m(*local(*place(request, s * x, s * y)))) for x, y in cells]
+def true_heights(request: Any, bit: int) -> list[int]:
+    """At the middles of the cells, which lie true north and true east of the request's corner."""
+    (row, column), heights = divmod(bit, 8), []
+    for x, y in np.ndindex(4, 4):
+        north_m, east_m = CELL_M * (4 * row + x + 0.5), CELL_M * (4 * column + y + 0.5)
+        azimuth, away_m = math.degrees(math.atan2(east_m, north_m)), math.hypot(north_m, east_m)
+        place = GEOD.fwd(request.lon * 1e-7, request.lat * 1e-7, azimuth, away_m)
+        azimuth, _, away_m = GEOD.inv(8.0, 47.0, *place[:2])  # from the frame's origin
+        turn = math.radians(azimuth)
+        heights.append(round(height_m(away_m * math.cos(turn), away_m * math.sin(turn))))
+    return heights
 
 
 def bits(mask: int) -> list[int]:
@@ -66,59 +61,45 @@ def bits(mask: int) -> list[int]:
 
 def block(request: Any, bit: int, data: list[int], **changes: int) -> Any:
     values = {"lat": request.lat, "lon": request.lon, "grid_spacing": request.grid_spacing}
-    return wire.MAVLink_terrain_data_message(gridbit=bit, data=data, **{**values, **changes})
+    return heard("TERRAIN_DATA", **{"gridbit": bit, "data": data, **values, **changes})
 
 
 def report(request: Any, pending: int = 0) -> Any:
-    corner = (request.lat, request.lon, request.grid_spacing)
-    return wire.MAVLink_terrain_report_message(*corner, 0.0, 0.0, pending, 1)
+    return heard("TERRAIN_REPORT", lat=request.lat, lon=request.lon, pending=pending)
 
 
-def answers(
-    request: Any, data: Any = lambda *_: [500] * 16, lost: Any = lambda *_: False
-) -> list[Any]:
-    """All blocks that are asked for, with these heights, and the report."""
-    there = [bit for bit in bits(request.mask) if not lost(request, bit)]
-    return [*(block(request, bit, data(request, bit)) for bit in there), report(request)]
+def answers(request: Any, heights: Heights = lambda *_: [500] * 16) -> list[Any]:
+    """All blocks that are asked for, and the report."""
+    blocks = (block(request, bit, heights(request, bit)) for bit in bits(request.mask))
+    return [*blocks, report(request)]
 
 
-def run(task: TerrainDownload, *how: Any, **keywords: Any) -> list[Any]:
+def run(task: TerrainDownload, *heights: Heights) -> list[Any]:
     """All requests; the radar answers within a tenth of a second."""
     requests = []
     for at_s in (tick / 10 for tick in range(round(DEADLINE_S * 10) + 1)):
-        if task.is_over(at_s):
-            break
-        if (request := task.on_time(at_s)) is not None:
+        if not task.is_over(at_s) and (request := task.on_time(at_s)) is not None:
             requests.append(request)
-            for message in answers(request, *how, **keywords):
+            for message in answers(request, *heights):
                 task.on_message(message, HERE)
     return requests
 
 
 def download(
-    centre: tuple[float, ...] = CORNER,
-    range_m: float = RANGE_M,
-    towards_ne_m: tuple[float, float] | None = None,
-    known: KnownMap = MAP,
+    centre: tuple[float, ...] = CORNER, range_m: float = 2000.0, known: KnownMap = MAP
 ) -> TerrainDownload:
-    """To the north, if nothing else is said."""
     settings = replace(MISSION.task.settings, scan_range_m=range_m, scan_time_s=DEADLINE_S)
+    to_the_north = ((centre[0] + 1e5, centre[1]),)
     task = replace(MISSION.task, settings=settings)
-    targets = (towards_ne_m or (centre[0] + 1e5, centre[1]),)
-    mission = replace(MISSION, task=task, targets_ne_m=targets)
-    state = State.of(mission, known)
-    return TerrainDownload(mission, (centre[0], centre[1], 0.0), state, now_s=0.0)
+    mission = replace(MISSION, task=task, targets_ne_m=to_the_north)
+    return TerrainDownload(mission, (*centre[:2], 0.0), State.of(mission, known), now_s=0.0)
 
 
-def on_map(scan: Scan) -> np.ndarray[Any, np.dtype[np.float64]]:
+def on_map(scan: Scan) -> Any:
     whole = np.full(MAP.upper_m.shape, math.nan)
     rows, columns = scan.heights_m.shape
     whole[scan.row : scan.row + rows, scan.column : scan.column + columns] = scan.heights_m
     return whole
-
-
-def middle_of(row: int, column: int) -> tuple[float, float]:
-    return -5000.0 + (row + 0.5) * CELL_M, -5000.0 + (column + 0.5) * CELL_M
 
 
 def told(scan: Scan) -> set[float]:
@@ -126,51 +107,27 @@ def told(scan: Scan) -> set[float]:
     return set(scan.heights_m[~np.isnan(scan.heights_m)])
 
 
-@pytest.mark.parametrize("centre", [CORNER, (0.0, 0.0), (50_000.0, 100_000.0)])
-def test_every_height_lands_in_the_cell_that_it_belongs_to(centre: tuple[float, float]) -> None:
+NORTH_M, EAST_M = np.broadcast_arrays(*MAP.middles_m())
+
+
+@pytest.mark.parametrize("centre", [CORNER, (0.0, 0.0), (50_000.0, 100_000.0), (-4e3, 103_000.0)])
+def test_all_within_range_is_asked_for_once_and_lands_in_the_cell_that_it_belongs_to(
+    centre: tuple[float, float],
+) -> None:
     task = download(centre, 3000.0)
-    run(task, heights)
-    scan = task.scan()
-    rows, columns = np.nonzero(np.isfinite(on_map(scan)))
-    assert rows.size > 400
-    slack = 0.6 + scan.registration_m * math.hypot(0.1, 0.013)
-    assert slack < 0.1 * CELL_M / 2  # less than a cell's error would be
-    for row, column in zip(rows, columns, strict=True):
-        expected = height_m(*middle_of(row, column))
-        assert on_map(scan)[row, column] == pytest.approx(expected, abs=slack)
-
-
-def test_all_that_is_within_range_and_on_the_map_is_asked_for_once() -> None:
-    task = download()
-    run(task)
-    answered = np.isfinite(on_map(task.scan()))
-    for row, column in np.ndindex(MAP.upper_m.shape):
-        if math.dist(middle_of(row, column), CORNER) <= RANGE_M:
-            assert answered[row, column], (row, column)
+    run(task, true_heights)
+    scan, answered = task.scan(), on_map(task.scan())
+    slack_m = 0.6 + scan.registration_m * math.hypot(0.1, 0.013)
+    assert slack_m < 0.1 * CELL_M / 2  # less than a cell's error would be
+    seen = np.isfinite(answered)
+    off_m = answered - height_m(NORTH_M, EAST_M)
+    assert np.abs(off_m[seen]).max() < slack_m
+    assert seen[np.hypot(NORTH_M - centre[0], EAST_M - centre[1]) <= 3000.0].all()
     assert task.asked == task.answered
-    seen = MAP.with_scan(task.scan())
-    assert list(areas(seen, CORNER, RANGE_M - 2 * CELL_M, FRAME)) == []
-    again = download(known=seen)
-    assert again.asked == 0
-    assert again.is_over(0.0)
-    assert again.on_time(0.0) is None
-
-
-@pytest.mark.parametrize("centre", [(104_000.0, 104_000.0), (-4000.0, 103_000.0), CORNER])
-def test_registration_bounds_the_offset_of_every_corner(centre: tuple[float, float]) -> None:
-    found = list(areas(MAP, centre, 9000.0, FRAME))
-    scan = download(centre, 9000.0).scan()
-    assert scan.registration_m == max(area.registration_m for area in found) < CELL_M / 2
-    for area in found:
-        corner = (area.latitude_e7, area.longitude_e7, round(CELL_M))
-        request = wire.MAVLink_terrain_request_message(*corner, area.mask)
-        south, west = -5000.0 + area.row * CELL_M, -5000.0 + area.column * CELL_M
-        offsets_m = [
-            math.dist(local(*place(request, north_m, east_m)), (south + north_m, west + east_m))
-            for north_m in CELL_M * np.arange(0, 29, 4)
-            for east_m in CELL_M * np.arange(0, 33, 4)
-        ]
-        assert area.registration_m == pytest.approx(max(offsets_m), abs=1e-3)  # and no more
+    known = MAP.with_scan(scan)
+    assert list(areas(known, centre, 3000.0 - 2 * CELL_M, FRAME)) == []
+    again = download(centre, 3000.0, known)
+    assert (again.asked, again.is_over(0.0), again.on_time(0.0)) == (0, True, None)
 
 
 def test_one_request_is_outstanding_until_its_report_or_its_answers_stop() -> None:
@@ -179,11 +136,9 @@ def test_one_request_is_outstanding_until_its_report_or_its_answers_stop() -> No
     first = task.on_time(0.0)
     assert task.on_time(0.9) is None
     *blocks, over = answers(first)
-    for message in blocks:
+    for message in (*blocks, report(first, pending=3)):
         task.on_message(message, HERE)
-    assert task.on_time(0.95) is None
-    task.on_message(report(first, pending=3), HERE)
-    assert task.on_time(0.96) is None
+        assert task.on_time(0.96) is None
     task.on_message(over, HERE)
     second = task.on_time(0.97)
     for at_s, message in zip((1.0, 1.3), answers(second), strict=False):
@@ -192,48 +147,54 @@ def test_one_request_is_outstanding_until_its_report_or_its_answers_stop() -> No
     assert task.on_time(1.6) is None
     third = task.on_time(1.75)
     assert len({(each.lat, each.lon) for each in (first, second, third)}) == 3
-
-
-def test_a_lost_block_alone_is_asked_for_twice_more_and_then_unknown_and_not_sheltered() -> None:
-    task = download(range_m=2000.0)
-    first, *_ = areas(MAP, CORNER, 2000.0, FRAME)
-    gone = bits(first.mask)[3]
-    requests = run(task, lost=lambda request, bit: (request.lat, bit) == (first.latitude_e7, gone))
-    of_first = [each.mask for each in requests if each.lat == first.latitude_e7]
-    assert of_first == [first.mask, 1 << gone, 1 << gone]
-    assert task.answered == task.asked - 1
-    scan = task.scan()
-    assert not np.isneginf(scan.heights_m).any()
-    after, unknown = MAP.with_scan(scan), np.isnan(on_map(scan))
-    assert np.isinf(after.upper_m[unknown]).all()
-    assert not after.seen[unknown].any()
-    silent = download()
+    silent = download(range_m=6000.0)
     asked = [silent.on_time(tick / 10) for tick in range(50)]
+    assert sum(request is not None for request in asked) == 4
     assert [silent.is_over(at_s) for at_s in (DEADLINE_S - 0.1, DEADLINE_S)] == [False, True]
-    assert (silent.answered, sum(request is not None for request in asked)) == (0, 4)
-    assert told(silent.scan()) == set()
+    assert (silent.answered, told(silent.scan())) == (0, set())
 
 
-def test_blocks_of_other_requests_not_asked_for_or_told_again_are_ignored() -> None:
-    task = download(range_m=2000.0)
-    request = task.on_time(0.0)
-    wanted = bits(request.mask)
-    for spoil in ({"lat": 470_000_000}, {"lon": 80_000_000}, {"grid_spacing": 100}):
-        task.on_message(block(request, wanted[0], [9] * 16, **spoil), HERE)
-    for bit in (*(set(range(56)) - set(wanted)), 56, 63, 64, 255):
-        task.on_message(block(request, bit, [9] * 16), HERE)
-    assert task.answered == 0
-    for height in (100, 200):
-        task.on_message(block(request, wanted[0], [height] * 16), HERE)
-    assert (task.answered, told(task.scan())) == (1, {100.0})
-    for message in 2 * answers(request):  # nothing is asked for any more
-        task.on_message(message, HERE)
-    assert task.answered == len(wanted)
+def spoilt(request: Any, bit: int) -> list[Any]:
+    """Of other requests, not asked for, or beside the mask."""
+    unasked = [bit for bit in range(56) if not request.mask >> bit & 1]
+    others = ({"lat": 470_000_000}, {"lon": 80_000_000}, {"grid_spacing": 100})
+    wrong_bits = ({"gridbit": each} for each in (*unasked[:2], 56, 63, 64, 255))
+    return [block(request, bit, [9] * 16, **each) for each in (*others, *wrong_bits)]
+
+
+@given(st.randoms(use_true_random=False))
+def test_whatever_is_lost_repeated_or_spoilt_a_cell_has_its_height_or_is_unknown(rng: Any) -> None:
+    """What is lost is asked for twice more, alone."""
+    task, asked, told = download(range_m=1500.0), Counter[Any](), set[Any]()
+    for tick in range(40):
+        if (request := task.on_time(tick / 10)) is None:
+            continue
+        for bit in bits(request.mask):
+            place = request.lat, request.lon, bit
+            assert place not in told
+            asked[place] += 1
+            messages = spoilt(request, bit)
+            if rng.random() < 0.6:
+                told.add(place)
+                again = block(request, bit, [9] * 16)
+                messages += [block(request, bit, true_heights(request, bit)), again]
+            for message in messages:
+                task.on_message(message, HERE)
+        task.on_message(report(request), HERE)
+    assert task.answered == len(told)
+    assert {place for place, times in asked.items() if times == 3} >= asked.keys() - told
+    assert max(asked.values()) <= 3
+    scan = task.scan()
+    heights_m, after = on_map(scan), MAP.with_scan(scan)
+    seen = ~np.isnan(heights_m)
+    off_m = np.abs(heights_m - height_m(NORTH_M, EAST_M))
+    assert off_m[seen].max(initial=0.0) < 0.1 * CELL_M / 2
+    assert not after.seen[~seen].any()  # nor sheltered
+    assert np.isinf(after.upper_m[~seen]).all()
 
 
 def test_heights_are_kept_with_the_place_of_the_radar_and_minus_32768_is_not_seen() -> None:
-    task = download(range_m=2000.0)
-    said = [-32768, -32767, -1, 0, 1, 32767] + [5] * 10
+    task, said = download(), [-32768, -32767, -1, 0, 1, 32767] + [5] * 10
     first, *others = answers(task.on_time(0.0), lambda *_: said)
     task.on_message(first, (1.0, 2.0, 3.0))
     for message in others:
@@ -242,4 +203,4 @@ def test_heights_are_kept_with_the_place_of_the_radar_and_minus_32768_is_not_see
     places = {tuple(radar) for radar in scan.radar_nea_m[~np.isnan(scan.heights_m)]}
     assert places == {(1.0, 2.0, 3.0), HERE}
     assert told(scan) == {NOT_SEEN, *said[1:]}
-    assert (scan.range_m, scan.drift_m) == (2000.0, 30.0)
+    assert (scan.range_m, scan.drift_m) == (2000.0, pytest.approx(DRIFT_M))

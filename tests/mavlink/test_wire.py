@@ -2,72 +2,42 @@
 
 import itertools
 import math
+from functools import partial
 from typing import Any, get_args
 
 import pytest
+import wires
 from pymavlink.dialects.v20 import all as wire
-from wires import (
-    CORNER,
-    FRAME,
-    GEOD,
-    PLACES,
-    SYSTEM,
-    angle_between,
-    geodetic,
-    geodetic_e7,
-    over_the_wire,
-    true_course_rad,
-)
+from wires import FRAME, GEOD, SYSTEM, assert_told, geodetic, geodetic_e7, heard, over_the_wire
 
 from companion.geodesy import LocalFrame
-from companion.mavlink.autopilots import (
-    ALL,
-    ARDUCOPTER,
-    ARDUPLANE,
-    FIRMWARES,
-    NAMES,
-    PX4_FIXED_WING,
-    PX4_MULTICOPTER,
-    Autopilot,
-    autopilot_of,
-    described,
-)
+from companion.mavlink.autopilots import ALL, FIRMWARES, NAMES, Autopilot, autopilot_of, described
 from companion.mavlink.autopilots.messages import To
 from companion.mission import events
-from companion.mission.events import (
-    Echo,
-    Estimator,
-    Event,
-    Landed,
-    Mode,
-    Position,
-    SetMode,
-    Setpoint,
-    TakeOff,
-    Vector,
-)
+from companion.mission.events import Landed, Mode, Setpoint, Vector
 from companion.mission.mission import AutopilotName
 from vehicle_sim.autopilot.earth import FlatEarth, Projection
 from vehicle_sim.autopilot.values import Place
 
+ARDUCOPTER, ARDUPLANE, PX4_MULTICOPTER, PX4_FIXED_WING = ALL
 HOVERING, PX4 = (ARDUCOPTER, PX4_MULTICOPTER), (PX4_MULTICOPTER, PX4_FIXED_WING)
+CORNER = (100_000.0, 100_000.0, 3500.0)
+PLACES = (CORNER, (0.0, 0.0, 3500.0), (-5000.0, 105_000.0, 4000.0))
 TO = To(SYSTEM, FRAME)
 each = pytest.mark.parametrize("autopilot", ALL, ids=lambda a: a.name)
 
 
 def event(
-    message: Any, autopilot: Autopilot = ARDUCOPTER, origin_nea_m: Vector | None = None
-) -> Event | None:
-    return autopilot.event_of(over_the_wire(message), 1.5, FRAME, origin_nea_m)
+    name: str,
+    autopilot: Autopilot = ARDUCOPTER,
+    origin_nea_m: Vector | None = None,
+    **fields: Any,
+) -> Any:
+    """What is made of a message at 1.5 s."""
+    return autopilot.event_of(heard(name, **fields), 1.5, FRAME, origin_nea_m)
 
 
 # --- setpoints
-
-
-def mask(names: str) -> int:
-    """The bits of what is to be ignored."""
-    types = (getattr(wire, f"POSITION_TARGET_TYPEMASK_{name}_IGNORE") for name in names.split())
-    return sum(types)
 
 
 def made(**changes: Any) -> Setpoint:
@@ -76,58 +46,65 @@ def made(**changes: Any) -> Setpoint:
     return Setpoint(**{**usual, **changes})
 
 
-def sent(autopilot: Autopilot, setpoint: Setpoint, loiter_radius_m: float = 0.0) -> Any:
-    [message] = autopilot.setpoint(setpoint, TO, loiter_radius_m) or []
+def sent(messages: list[Any] | None) -> Any:
+    """The one message, as it is read."""
+    [message] = messages or []
     return over_the_wire(message)
 
 
-@pytest.mark.parametrize("autopilot", [*HOVERING, PX4_FIXED_WING], ids=lambda a: a.name)
+def e7(place: Vector) -> Any:
+    """Latitude and longitude of a place in the frame, within a centimetre or two."""
+    return [pytest.approx(degrees, abs=1.5) for degrees in geodetic_e7(*place[:2])]
+
+
+THERE = dict(zip(("x", "y"), e7(CORNER), strict=True))
+THERE |= {"z": CORNER[2], "frame": 5, "target_system": SYSTEM, "target_component": 1}
+ALL_IGNORED = {"afx": 0.0, "afy": 0.0, "afz": 0.0, "yaw_rate": 0.0}
+POSITION, WITH_VELOCITY, AND_YAW = 0xDF8, 0xDC0, 0x9C0
+"""What is not ignored, by POSITION_TARGET_TYPEMASK."""
+
+
 @pytest.mark.parametrize("place", [*PLACES, (9.0, 0.0, -500.0), (0.0, 9.0, 50_000.0)])
-@pytest.mark.parametrize("stay", [False, True])
+@pytest.mark.parametrize(
+    ("autopilot", "stay", "mask"),
+    [
+        *((autopilot, stay, AND_YAW) for autopilot in HOVERING for stay in (False, True)),
+        (PX4_FIXED_WING, False, WITH_VELOCITY),
+        (PX4_FIXED_WING, True, POSITION),
+    ],
+)
 def test_a_setpoint_is_a_true_place_amsl_velocity_and_nose_with_its_mask(
-    autopilot: Autopilot, place: Vector, stay: bool
+    autopilot: Autopilot, stay: bool, mask: int, place: Vector
 ) -> None:
-    ignored = "AX AY AZ YAW_RATE"
-    if autopilot is PX4_FIXED_WING:
-        ignored += " YAW VX VY VZ" if stay else " YAW"
-    for bearing in (math.radians(45.0 * k) for k in range(8)):
+    to = {"target_system": SYSTEM, "target_component": 1, "coordinate_frame": 5}
+    head = {**to, "time_boot_ms": 12_300, "type_mask": mask, "alt": place[2], **ALL_IGNORED}
+    latitude_e7, longitude_e7 = e7(place)
+    for bearing in (-2.9, -2.0, -1.0, 0.0, 0.5, 1.5, 3.0):
         velocity = (150.0 * math.cos(bearing), 150.0 * math.sin(bearing), 12.0)
         told = {"position_nea_m": place, "velocity_nea_m_s": velocity, "yaw_rad": bearing}
-        message = sent(autopilot, made(stay=stay, **told))
-        head = (message.target_system, message.target_component, message.coordinate_frame)
-        assert (message.get_type(), *head) == ("SET_POSITION_TARGET_GLOBAL_INT", SYSTEM, 1, 5)
-        assert (message.time_boot_ms, message.type_mask) == (12_300, mask(ignored))
-        assert (message.afx, message.afy, message.afz, message.yaw_rate) == (0.0, 0.0, 0.0, 0.0)
-        latitude, longitude = geodetic(*place[:2])
-        away = GEOD.inv(longitude, latitude, message.lon_int * 1e-7, message.lat_int * 1e-7)
-        assert away[2] < 0.02
-        assert message.alt == place[2]
-        course = true_course_rad(*place[:2], bearing)
         # The frame is no conformal one: at the corner a right angle is off by 1e-4 rad.
-        assert angle_between(message.yaw, course) < 1e-4
-        assert abs(message.yaw) <= math.pi + 1e-6
-        if stay and autopilot is not PX4_FIXED_WING:  # what hovers is told an explicit zero
-            assert (message.vx, message.vy, message.vz) == (0.0, 0.0, 0.0)
-        else:
-            assert angle_between(math.atan2(message.vy, message.vx), course) < 1e-4
-            assert math.hypot(message.vx, message.vy) == pytest.approx(150.0, rel=1e-6)
-            assert message.vz == pytest.approx(-12.0)
+        course = wires.true_course_rad(*place[:2], bearing)
+        moves = not (stay and autopilot in HOVERING)  # what hovers is told an explicit zero
+        north, east, down = 150.0 * math.cos(course), 150.0 * math.sin(course), -12.0
+        assert_told(
+            sent(autopilot.setpoint(made(stay=stay, **told), TO, 0.0)),
+            "SET_POSITION_TARGET_GLOBAL_INT",
+            **{**head, "lat_int": latitude_e7, "lon_int": longitude_e7},
+            vx=pytest.approx(north * moves, abs=0.015),
+            vy=pytest.approx(east * moves, abs=0.015),
+            vz=pytest.approx(down * moves),
+            yaw=pytest.approx(course, abs=1e-4),
+        )
 
 
-@pytest.mark.parametrize(
-    ("stay", "wanted_m", "circle_m"),
-    [(False, 100.0, 10.0), (True, 100.0, 80.0), (True, 30.0, 15.0), (True, 0.0, None)],
-)
-def test_an_arduplane_is_repositioned(stay: bool, wanted_m: float, circle_m: float | None) -> None:
+def test_an_arduplane_is_repositioned() -> None:
     """It follows with a small circle, and stays on a wide one (ardupilot.md 7)."""
-    message = sent(ARDUPLANE, made(stay=stay), wanted_m)
-    assert (message.get_type(), message.command) == ("COMMAND_INT", 192)
-    assert (message.target_system, message.target_component, message.frame) == (SYSTEM, 1, 5)
-    assert message.param2 == 0.0  # bit 0 would switch to GUIDED
-    assert (message.x, message.y) == pytest.approx(geodetic_e7(*CORNER[:2]), abs=1)
-    assert message.z == 3500.0
-    assert message.param3 > 0.0  # 0 would keep the 10 m that it followed with
-    assert circle_m is None or message.param3 == circle_m
+    following, staying = {100.0: 10.0}, {100.0: 80.0, 30.0: 15.0, 0.0: 60.0}
+    for stay, circles_m in ((False, following), (True, staying)):
+        for wanted_m, circle_m in circles_m.items():
+            message = sent(ARDUPLANE.setpoint(made(stay=stay), TO, wanted_m))
+            assert_told(message, "COMMAND_INT", command=192, param3=circle_m, **THERE)
+            assert message.param2 == 0.0  # bit 0 would switch to GUIDED
 
 
 @each
@@ -158,181 +135,121 @@ def test_what_is_out_of_range_is_not_sent(autopilot: Autopilot, field: str, valu
 # --- events
 
 
-def at(lat_e7: int, lon_e7: int, **fields: int) -> Any:
-    usual = {"alt": 0, "relative_alt": 0, "vx": 0, "vy": 0, "vz": 0, "hdg": 0}
-    return wire.MAVLink_global_position_int_message(12_300, lat_e7, lon_e7, **{**usual, **fields})
-
-
 @pytest.mark.parametrize("place", PLACES)
 def test_a_position_is_read_where_it_was_with_velocity_along_the_frame(place: Vector) -> None:
-    bearing, there = 0.7, geodetic_e7(*place[:2])
-    course = true_course_rad(*place[:2], bearing)
-    speeds = {"vx": round(15_000 * math.cos(course)), "vy": round(15_000 * math.sin(course))}
-    heights = {"alt": round(place[2] * 1e3), "relative_alt": 123, "vz": -250}
-    read = event(at(*there, **speeds, **heights, hdg=round(math.degrees(course) * 100)))
-    assert isinstance(read, Position)
-    assert angle_between(read.heading_rad, bearing) < 3e-4
-    assert read.time_s == 12.3
-    assert read.position_nea_m == pytest.approx(place, abs=0.02)
-    north, east, up = read.velocity_nea_m_s
-    assert math.hypot(north, east) == pytest.approx(150.0, abs=0.01)
-    assert math.atan2(east, north) == pytest.approx(bearing, abs=2e-4)
-    assert up == pytest.approx(2.5)
-    unknown: Any = event(at(*there, hdg=65_535))
-    assert unknown.heading_rad is None
+    bearing, course = 0.7, wires.true_course_rad(*place[:2], 0.7)
+    fields = dict(zip(("lat", "lon"), geodetic_e7(*place[:2]), strict=True))
+    fields |= {"alt": round(place[2] * 1e3), "relative_alt": 123, "vz": -250}
+    fields |= {"vx": round(15_000 * math.cos(course)), "vy": round(15_000 * math.sin(course))}
+    nose = round(math.degrees(course) * 100)
+    read = event("GLOBAL_POSITION_INT", time_boot_ms=12_300, hdg=nose, **fields)
+    assert (read.time_s, read.position_nea_m) == (12.3, pytest.approx(place, abs=0.02))
+    assert wires.angle_between(read.heading_rad, bearing) < 3e-4
+    velocity = (150.0 * math.cos(bearing), 150.0 * math.sin(bearing), 2.5)
+    assert read.velocity_nea_m_s == pytest.approx(velocity, abs=0.03)
+    assert event("GLOBAL_POSITION_INT", hdg=65_535, **fields).heading_rad is None
 
 
-@each
-def test_a_heartbeat_tells_of_arming_and_of_a_failsafe(autopilot: Autopilot) -> None:
-    states = wire.MAV_STATE_CRITICAL, wire.MAV_STATE_EMERGENCY
-    for status, armed in itertools.product(range(9), (False, True)):
-        base = 1 | wire.MAV_MODE_FLAG_SAFETY_ARMED * armed
-        read = event(wire.MAVLink_heartbeat_message(2, 3, base, 4, status, 3), autopilot)
-        assert isinstance(read, events.VehicleStatus)
-        assert (read.time_s, read.armed, read.failsafe) == (1.5, armed, status in states)
-    assert event(wire.MAVLink_system_time_message(0, 0), autopilot) is None
-
-
-LANDED = [Landed.UNKNOWN, Landed.ON_GROUND, Landed.IN_AIR, Landed.TAKING_OFF, Landed.LANDING]
-"""By MAV_LANDED_STATE."""
-
-
-def test_landed_states_fixes_and_batteries_are_those_of_the_message_definitions() -> None:
-    for number, landed in enumerate([*LANDED, *[Landed.UNKNOWN] * 95]):
-        expected = events.LandedState(time_s=1.5, landed=landed)
-        assert event(wire.MAVLink_extended_sys_state_message(0, number)) == expected
+def test_states_are_those_of_the_message_definitions() -> None:
+    landed = [Landed.UNKNOWN, Landed.ON_GROUND, Landed.IN_AIR, Landed.TAKING_OFF, Landed.LANDING]
+    for number, state in enumerate([*landed, *[Landed.UNKNOWN] * 95]):
+        assert event("EXTENDED_SYS_STATE", landed_state=number).landed is state
     for fix_type, good in ((0, False), (2, False), (3, True), (6, True)):
-        fix = wire.MAVLink_gps_raw_int_message(0, fix_type, *([0] * 8))
-        assert event(fix) == events.GpsFix(time_s=1.5, good=good)
-    for percent, share in ((0, 0.0), (37, 0.37), (100, 1.0), (-1, None)):
-        status = wire.MAVLink_sys_status_message(0, 0, 0, 0, 12_000, 0, percent, 0, 0, 0, 0, 0, 0)
-        first, second = (
-            wire.MAVLink_battery_status_message(number, 0, 0, 0, [0] * 10, 0, 0, 0, percent)
-            for number in (0, 1)
-        )
+        assert event("GPS_RAW_INT", fix_type=fix_type) == events.GpsFix(time_s=1.5, good=good)
+    for percent, share in ((0, 0.0), (37, 0.37), (100, 1.0), (-1, None), (101, None)):
         left = None if share is None else events.Battery(time_s=1.5, remaining=share)
-        assert event(status) == event(first) == left
-        assert event(second) is None
-
-
-REST = (584_070, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0)
+        assert event("SYS_STATUS", battery_remaining=percent) == left
+        assert event("BATTERY_STATUS", battery_remaining=percent) == left
+        assert event("BATTERY_STATUS", battery_remaining=percent, id=1) is None  # of something else
+    for autopilot, status, armed in itertools.product(ALL, range(9), (False, True)):
+        base_mode = 1 | wire.MAV_MODE_FLAG_SAFETY_ARMED * armed
+        read = event("HEARTBEAT", autopilot, base_mode=base_mode, system_status=status)
+        fails = status in (wire.MAV_STATE_CRITICAL, wire.MAV_STATE_EMERGENCY)
+        assert (read.time_s, read.armed, read.failsafe) == (1.5, armed, fails)
+    assert event("SYSTEM_TIME") is None
 
 
 @pytest.mark.parametrize(
-    ("kind", "told"),
+    ("name", "kind", "latitude", "longitude", "height"),
     [
-        (events.Position, lambda *at_e7: at(*at_e7, alt=584_070)),
-        (events.Home, lambda *at_e7: wire.MAVLink_home_position_message(*at_e7, *REST)),
-        (events.Origin, lambda *at_e7: wire.MAVLink_gps_global_origin_message(*at_e7, 584_070)),
-        (
-            Echo,  # an ArduPlane's waypoint
-            lambda *at_e7: wire.MAVLink_position_target_global_int_message(
-                0, 0, 0xFDF8, *at_e7, 584.07, *([0.0] * 8)
-            ),
-        ),
+        ("GLOBAL_POSITION_INT", events.Position, "lat", "lon", {"alt": 584_070}),
+        ("HOME_POSITION", events.Home, "latitude", "longitude", {"altitude": 584_070}),
+        ("GPS_GLOBAL_ORIGIN", events.Origin, "latitude", "longitude", {"altitude": 584_070}),
+        ("POSITION_TARGET_GLOBAL_INT", events.Echo, "lat_int", "lon_int", {"alt": 584.07}),
     ],
-    ids=["position", "home", "origin", "waypoint"],
 )
-def test_places_are_amsl_and_on_earth_and_0_0_is_none(kind: type, told: Any) -> None:
-    """3090, -717 was recorded: an ArduPlane that has no fix yet; on the equator there are some."""
-    read: Any = event(told(*geodetic_e7(*CORNER[:2])), ARDUPLANE)
-    assert isinstance(read, kind)
-    assert read.position_nea_m == pytest.approx((*CORNER[:2], 584.07), abs=0.02)
-    for place in ((0, 0), (3090, -717), (-99_000, 99_000), (0, 80_000_000)):
-        assert (event(told(*place), ARDUPLANE) is None) == (place[1] < 100_000)
-    for beyond in ((470_000_000, 1_800_000_001), (2**31 - 1, 80_000_000), (0, -(2**31))):
-        assert event(told(*beyond), ARDUPLANE) is None
-
-
-ORIGINS = ((0.0, 0.0, 488.0), (-30_000.0, 20_000.0, 488.0))
-
-
-def local_target(x: float, y: float, z: float, type_mask: int = 0) -> Any:
-    values = (x, y, z, 3.0, 0.0, -1.0, *[0.0] * 5)
-    return wire.MAVLink_position_target_local_ned_message(0, 1, type_mask, *values)
-
-
-@pytest.mark.parametrize("origin_nea_m", ORIGINS)
-@pytest.mark.parametrize("ne_m", [(0.0, 0.0), (300.0, -200.0), (9000.0, 4000.0), (-4e4, 3e4)])
-@pytest.mark.parametrize(
-    ("autopilot", "earth"), [(ARDUCOPTER, FlatEarth), (PX4_MULTICOPTER, Projection)]
-)
-def test_a_local_echo_is_read_on_the_autopilots_own_earth(
-    autopilot: Autopilot, earth: Any, origin_nea_m: Vector, ne_m: tuple[float, float]
+def test_places_are_amsl_and_on_earth_and_0_0_is_none(
+    name: str, kind: type, latitude: str, longitude: str, height: dict[str, Any]
 ) -> None:
-    there = earth(Place(*geodetic(*origin_nea_m[:2]), origin_nea_m[2])).place(*ne_m, 0.0)
-    read = event(local_target(*ne_m, -60.0), autopilot, origin_nea_m)
-    assert isinstance(read, Echo)
-    latitude, longitude = geodetic(*read.position_nea_m[:2])
-    _, _, off_m = GEOD.inv(longitude, latitude, there[1], there[0])
-    assert off_m < 0.05
-    assert read.position_nea_m[2] == pytest.approx(548.0)
+    """3090, -717 was recorded: an ArduPlane that has no fix yet; on the equator there are some."""
+
+    def read(lat_e7: int, lon_e7: int) -> Any:
+        return event(name, ARDUPLANE, **{latitude: lat_e7, longitude: lon_e7}, **height)
+
+    there = read(*geodetic_e7(*CORNER[:2]))
+    assert isinstance(there, kind)
+    assert there.position_nea_m == pytest.approx((*CORNER[:2], 584.07), abs=0.02)
+    assert read(0, 80_000_000) is not None
+    nowhere = [(0, 0), (3090, -717), (-99_000, 99_000)]
+    for place in (*nowhere, (470_000_000, 1_800_000_001), (2**31 - 1, 80_000_000), (0, -(2**31))):
+        assert read(*place) is None
 
 
-@each
-def test_a_local_echo_needs_an_origin_hovering_and_numbers(autopilot: Autopilot) -> None:
-    told = (1.0, 2.0, -3.0)
-    assert event(local_target(*told), autopilot, None) is None
-    is_echo = isinstance(event(local_target(*told), autopilot, ORIGINS[0]), Echo)
-    assert is_echo == (autopilot in HOVERING)
-    for bit in (1, 2, 4):
-        assert event(local_target(*told, bit), autopilot, ORIGINS[0]) is None
-    for bad, axis in itertools.product((math.nan, math.inf, -3e38), range(3)):
-        read: Any = event(local_target(*told[:axis], bad, *told[axis + 1 :]), autopilot, ORIGINS[0])
-        assert read is None or all(map(math.isfinite, read.position_nea_m))
-
-
-ARDUPILOTS_SAY = [  # flags and figures of arducopter-gps-loss.tlog
-    (0x33F, 0.03, 0.05, True),  # flying
-    (0x33F, 13.33, 0.01, False),  # half a second after a step of 50 m, before any flag
-    (0x33F, 0.03, 1.0, False),
-    (0x33F, math.nan, 0.0, False),
-    (0x833F, 0.02, 0.01, False),  # glitch: after the estimate has given in
-    (0x8027, 10.5, 0.0, False),
-    (0x25, 0.0, 0.0, False),  # GPS lost
-    (0xA7, 0.0, 0.0, False),  # before the first fix, or aiding has stopped
-    (0x400, 0.0, 0.0, False),
-    (0x33F & ~0x20, 0.0, 0.0, False),  # no height
-]
-PX4_SAYS = [
-    (0x37F, 0.2, 0.36, True),  # flying
-    (0x33F, 0.05, 0.05, True),
-    (0x3FF, 0.05, 0.05, True),  # on the ground
-    (0x365, 0.05, 0.05, False),  # 5 s after the loss of GPS
-    (0x65, 0.05, 0.05, False),
-    (0xE5, 0.05, 0.05, False),  # booting
-    (0x37F | 0x400, 0.05, 0.05, False),  # glitch
-    (0x37F | 0x800, 0.05, 0.05, False),  # accelerometers
-    (0x37F & ~0x20, 0.05, 0.05, False),
-    (0x37F, 1.0, 0.1, False),  # it throws measurements away
-    (0x37F, 0.1, 7.0, False),
-    (0x37F, 0.1, math.nan, True),
-]
+@pytest.mark.parametrize("origin_nea_m", [(0.0, 0.0, 488.0), (-30_000.0, 20_000.0, 488.0)])
+@pytest.mark.parametrize("ne_m", [(0.0, 0.0), (300.0, -200.0), (9000.0, 4000.0), (-4e4, 3e4)])
+def test_a_local_echo_of_what_hovers_is_read_on_the_autopilots_own_earth(
+    origin_nea_m: Vector, ne_m: tuple[float, float]
+) -> None:
+    """It needs an origin, and numbers."""
+    target = {"x": ne_m[0], "y": ne_m[1], "z": -60.0}
+    for autopilot, earth in zip(ALL, (FlatEarth, None, Projection, None), strict=True):
+        read = partial(event, "POSITION_TARGET_LOCAL_NED", autopilot, **target)
+        bad = [
+            {axis: value} for axis, value in zip("xyz", (math.nan, math.inf, math.nan), strict=True)
+        ]
+        for fields in (*bad, *({"type_mask": bit} for bit in (1, 2, 4))):
+            assert read(origin_nea_m, **fields) is None
+        told = read(origin_nea_m)
+        assert read(None) is None
+        assert (told is None) == (earth is None)
+        if earth is not None:
+            there = earth(Place(*geodetic(*origin_nea_m[:2]), origin_nea_m[2])).place(*ne_m, 0.0)
+            latitude, longitude = geodetic(*told.position_nea_m[:2])
+            _, _, off_m = GEOD.inv(longitude, latitude, there[1], there[0])
+            assert (off_m < 0.05, told.position_nea_m[2]) == (True, pytest.approx(548.0))
 
 
 @each
 def test_an_estimator_is_good_while_it_takes_its_measurements(autopilot: Autopilot) -> None:
-    def told(flags: int, position: float, velocity: float, accuracy_m: float = 0.25) -> Any:
-        if autopilot in PX4:
-            figures = (velocity, position, 0.0, 0.1, 0.0, 0.0, accuracy_m, 0.3)
-            return event(wire.MAVLink_estimator_status_message(0, flags, *figures), autopilot)
-        figures = (velocity, position, 0.0, 0.0, 0.0)  # ArduPilot tells of no accuracy
-        return event(wire.MAVLink_ekf_status_report_message(flags, *figures), autopilot)
-
+    """Flags and figures of recorded flights (arducopter-gps-loss; px4.md 8)."""
     is_px4 = autopilot in PX4
-    for flags, position, velocity, good in PX4_SAYS if is_px4 else ARDUPILOTS_SAY:
-        expected = Estimator(time_s=1.5, good=good, error_m=0.25 if is_px4 else None)
-        assert told(flags, position, velocity) == expected, (hex(flags), position)
+    healthy, bad = (0x37F, 0xC00) if is_px4 else (0x33F, 0x8480)
+    needed = 0x33  # attitude, horizontal velocity and position, height
+
+    def told(flags: int, position: float, velocity: float, accuracy_m: float = 0.25) -> Any:
+        figures = {"flags": flags, "pos_horiz_accuracy": accuracy_m}
+        figures |= {"pos_horiz_ratio": position, "vel_ratio": velocity}
+        if not is_px4:
+            figures = {"flags": flags, "pos_horiz_variance": position}
+            figures["velocity_variance"] = velocity
+        return event("ESTIMATOR_STATUS" if is_px4 else "EKF_STATUS_REPORT", autopilot, **figures)
+
+    for bit in (1 << k for k in range(16)):
+        assert told(healthy ^ bit, 0.05, 0.05).good is not bool(bit & (needed | bad)), hex(bit)
+    # 13.33: half a second after a step of 50 m, before any flag; PX4 does not use what it has not
+    ratios = {(0.2, 0.36): True, (13.33, 0.01): False, (1.0, 0.1): False, (0.03, 1.0): False}
+    for (position, velocity), good in (ratios | {(0.1, math.nan): is_px4}).items():
+        expected = events.Estimator(time_s=1.5, good=good, error_m=0.25 if is_px4 else None)
+        assert told(healthy, position, velocity) == expected
     for unknown_m in (math.nan, math.inf, 0.0, -1.0):  # an accuracy is a length
-        assert told(0x33F, 0.05, 0.05, unknown_m) == Estimator(time_s=1.5, good=True, error_m=None)
+        assert told(healthy, 0.05, 0.05, unknown_m).error_m is None
 
 
 # --- who it is, modes and commands
 
 
-@pytest.mark.parametrize(
-    ("autopilot", "kind", "expected", "words"),
-    [
+def test_which_autopilot() -> None:
+    for autopilot, kind, expected, words in (
         *((3, kind, ARDUCOPTER, "ArduCopter") for kind in (2, 13, 4)),
         (3, 1, ARDUPLANE, "ArduPlane"),
         *((12, kind, PX4_MULTICOPTER, "PX4 multicopter") for kind in (2, 14)),
@@ -341,14 +258,10 @@ def test_an_estimator_is_good_while_it_takes_its_measurements(autopilot: Autopil
         (3, 10, None, "ardupilotmega, ground_rover"),
         (8, 6, None, "invalid, gcs"),
         (200, 201, None, "MAV_AUTOPILOT 200, MAV_TYPE 201"),
-    ],
-)
-def test_which_autopilot(autopilot: int, kind: int, expected: Autopilot | None, words: str) -> None:
-    beat = over_the_wire(wire.MAVLink_heartbeat_message(kind, autopilot, 0, 0, 3, 3))
-    assert autopilot_of(beat) is expected
-    assert described(beat) == words
-    assert expected is None or words == expected.traits.name
-    assert expected is None or words in NAMES
+    ):
+        beat = heard("HEARTBEAT", type=kind, autopilot=autopilot)
+        assert (autopilot_of(beat), described(beat)) == (expected, words)
+        assert expected is None or words in NAMES
     assert {each.name for each in FIRMWARES} == set(get_args(AutopilotName))
 
 
@@ -382,70 +295,64 @@ TOLD = [
 
 @pytest.mark.parametrize(("autopilot", "number", "name", "mode"), [*ASKED, *TOLD])
 def test_modes_are_recognised(autopilot: Autopilot, number: int, name: str, mode: Mode) -> None:
-    assert autopilot.modes.mode_of(number) is mode
-    assert autopilot.modes.name_of(number) == name
+    modes = autopilot.modes
+    assert (modes.mode_of(number), modes.name_of(number)) == (mode, name)
 
 
 @each
 def test_a_mode_is_asked_for_by_number_or_not_at_all(autopilot: Autopilot) -> None:
-    nowhere = (math.nan, 0.0, 100.0)
-    for mode, at_nea_m in itertools.product(Mode, (None, nowhere, CORNER)):
+    for mode, at_nea_m in itertools.product(Mode, (None, (math.nan, 0.0, 100.0), CORNER)):
         numbers = [number for one, number, _, asked in ASKED if one is autopilot and asked is mode]
-        command = SetMode(mode=mode, at_nea_m=at_nea_m)
+        command = events.SetMode(mode=mode, at_nea_m=at_nea_m)
         messages = [over_the_wire(message) for message in autopilot.set_mode(command, TO)]
-        for told, number in zip(messages, numbers, strict=True):
-            assert (told.target_system, told.target_component) == (SYSTEM, 1)
-            if (autopilot, mode, at_nea_m) == (PX4_FIXED_WING, Mode.HOLD, CORNER):  # about a point
-                assert (told.get_type(), told.command, told.frame) == ("COMMAND_INT", 192, 5)
-                assert told.param2 == 1.0  # bit 0 switches to Hold
-                assert (told.x, told.y) == pytest.approx(geodetic_e7(*CORNER[:2]), abs=1)
-                assert told.z == CORNER[2]
+        assert len(messages) == len(numbers)
+        for message, number in zip(messages, numbers, strict=True):
+            if (autopilot, mode, at_nea_m) == (PX4_FIXED_WING, Mode.HOLD, CORNER):
+                about = {"param2": 1.0, "param3": 0.0}  # bit 0 switches to Hold, about the point
+                assert_told(message, "COMMAND_INT", command=192, **about, **THERE)
                 continue
-            main, sub = int(told.param2), int(told.param3)
-            assert (told.get_type(), told.command, told.param1) == ("COMMAND_LONG", 176, 1.0)
-            assert number == (main << 16 | sub << 24 if autopilot in PX4 else main)
+            main, sub = (number >> 16 & 255, number >> 24) if autopilot in PX4 else (number, 0)
+            to = {"target_system": SYSTEM, "target_component": 1}
+            flag = {"param1": 1.0, "param2": main, "param3": sub}
+            assert_told(message, "COMMAND_LONG", command=176, **flag, **to)
         assert mode is not Mode.LAND or bool(numbers) == autopilot.traits.lands
 
 
-def take_off(autopilot: Autopilot, heading_rad: float, to_m: float = 548.0) -> Any:
+def take_off(autopilot: Autopilot, heading_rad: float, to_m: float = 548.0) -> list[Any]:
     heading_rad -= FRAME.grid_north_rad(*CORNER[:2])
-    command = TakeOff(above_home_m=to_m - 488.0, altitude_amsl_m=to_m)
-    messages = autopilot.take_off(command, CORNER, heading_rad, TO)
-    return over_the_wire(messages[0]) if messages else None
+    command = events.TakeOff(above_home_m=to_m - 488.0, altitude_amsl_m=to_m)
+    return [over_the_wire(each) for each in autopilot.take_off(command, CORNER, heading_rad, TO)]
 
 
 def test_a_take_off_is_to_a_height_above_home_by_a_mode_or_to_an_altitude_amsl() -> None:
-    copter, plane = take_off(ARDUCOPTER, 0.3), take_off(ARDUPLANE, 0.3)
-    assert (copter.get_type(), copter.command) == ("COMMAND_LONG", 22)
-    assert [getattr(copter, f"param{n}") for n in range(1, 8)] == [0.0] * 6 + [60.0]
-    assert (plane.command, plane.param2) == (176, wire.PLANE_MODE_TAKEOFF)
+    ([copter], [plane]) = (take_off(each, 0.3) for each in (ARDUCOPTER, ARDUPLANE))
+    assert_told(copter, "COMMAND_LONG", command=22, param7=60.0, param1=0.0, param4=0.0)
+    assert_told(plane, "COMMAND_LONG", command=176, param2=wire.PLANE_MODE_TAKEOFF)
     latitude, longitude = geodetic(*CORNER[:2])
     for autopilot, bearing_deg in itertools.product(PX4, range(0, 360, 45)):
-        told = take_off(autopilot, math.radians(bearing_deg))
-        assert (told.get_type(), told.command, told.frame) == ("COMMAND_INT", 22, 5)
-        assert told.z == 548.0
+        [told] = take_off(autopilot, math.radians(bearing_deg))
+        assert_told(told, "COMMAND_INT", command=22, frame=5, z=548.0)
         assert math.isnan(told.param4)  # the nose stays where it points
         azimuth, _, away_m = GEOD.inv(longitude, latitude, told.y * 1e-7, told.x * 1e-7)
-        if autopilot is PX4_MULTICOPTER:
-            assert away_m < 0.02
-        else:  # along the runway, as the nose points from true north
-            # a hundred kilometres off, the scale of the local frame is off by 4e-5
-            assert away_m == pytest.approx(300.0, abs=0.05)
-            assert angle_between(math.radians(azimuth), math.radians(bearing_deg)) < 2e-4
+        # along the runway; a hundred kilometres off, the local frame's scale is off by 4e-5
+        assert away_m == pytest.approx(300.0 * (autopilot is PX4_FIXED_WING), abs=0.05)
+        if autopilot is PX4_FIXED_WING:  # as the nose points from true north
+            assert wires.angle_between(math.radians(azimuth - bearing_deg), 0.0) < 2e-4
     for bad in (math.nan, math.inf, -math.inf, 1e9, -1e9):
-        assert [take_off(one, 0.0, bad) for one in (ARDUCOPTER, *PX4)] == [None] * 3
-        assert math.isfinite(bad) or take_off(PX4_FIXED_WING, bad) is None
+        assert [take_off(one, 0.0, bad) for one in (ARDUCOPTER, *PX4)] == [[]] * 3
+        assert math.isfinite(bad) or take_off(PX4_FIXED_WING, bad) == []
 
 
 @each
 def test_arduplane_alone_is_told_its_airspeed_and_refuses_setpoints(autopilot: Autopilot) -> None:
-    messages = [over_the_wire(message) for message in autopilot.set_speed(18.0, SYSTEM)]
-    told = [(m.get_type(), m.command, m.param1, m.param2, m.param3) for m in messages]
-    airspeed = ("COMMAND_INT", 43000, wire.SPEED_TYPE_AIRSPEED, 18.0, 0.0)
-    assert told == ([airspeed] if autopilot is ARDUPLANE else [])
+    messages = autopilot.set_speed(18.0, SYSTEM)
+    assert len(messages) == (autopilot is ARDUPLANE)
+    for each in messages:
+        airspeed = {"param1": wire.SPEED_TYPE_AIRSPEED, "param2": 18.0, "param3": 0.0}
+        assert_told(over_the_wire(each), "COMMAND_INT", command=43000, **airspeed)
     for speed in (0.0, -1.0, math.nan, math.inf, 1e6):
         assert autopilot.set_speed(speed, SYSTEM) == []
     for command, result in itertools.product((192, 176), range(10)):
-        ack = over_the_wire(wire.MAVLink_command_ack_message(command, result))
+        ack = heard("COMMAND_ACK", command=command, result=result)
         refuses = command == 192 and result != wire.MAV_RESULT_ACCEPTED
         assert autopilot.refuses_setpoint(ack) is (autopilot is ARDUPLANE and refuses)

@@ -14,10 +14,8 @@ from companion.geodesy import LocalFrame
 LATITUDE_DEG, LONGITUDE_DEG = 47.0, 8.0
 FRAME = LocalFrame(latitude_deg=LATITUDE_DEG, longitude_deg=LONGITUDE_DEG)
 GEOD = pyproj.Geod(ellps="WGS84")
-CORNER = (100_000.0, 100_000.0, 3500.0)
-PLACES = (CORNER, (0.0, 0.0, 3500.0), (-5000.0, 105_000.0, 4000.0))
 SYSTEM = 7
-OURS, PERSON = (SYSTEM, 195), (255, 190)
+_KINDS: dict[str, Any] = {kind.msgname: kind for kind in wire.mavlink_map.values()}
 
 
 def over_the_wire(message: Any, source: tuple[int, int] = (1, 1)) -> Any:
@@ -27,33 +25,13 @@ def over_the_wire(message: Any, source: tuple[int, int] = (1, 1)) -> Any:
     return parsed
 
 
-def command_long(
-    command: int,
-    *parameters: float,
-    target: tuple[int, int] = OURS,
-    sender: tuple[int, int] = PERSON,
-    confirmation: int = 0,
-) -> Any:
-    """COMMAND_LONG as it is read; parameters left out are 0."""
-    seven = (*parameters, *[0.0] * (7 - len(parameters)))
-    message = wire.MAVLink_command_long_message(*target, command, confirmation, *seven)
-    return over_the_wire(message, sender)
-
-
-def command_int(
-    command: int,
-    *parameters: float,
-    x: int = 0,
-    y: int = 0,
-    z: float = 0.0,
-    frame_id: int = 0,
-    target: tuple[int, int] = OURS,
-    sender: tuple[int, int] = PERSON,
-) -> Any:
-    """COMMAND_INT as it is read; parameters 1 to 4 that are left out are 0."""
-    four = (*parameters, *[0.0] * (4 - len(parameters)))
-    message = wire.MAVLink_command_int_message(*target, frame_id, command, 0, 0, *four, x, y, z)
-    return over_the_wire(message, sender)
+def heard(name: str, source: tuple[int, int] = (1, 1), **fields: Any) -> Any:
+    """A message of a component, as it is read; what is not said of it is 0."""
+    kind, values = _KINDS[name], dict(fields)
+    for field, length in zip(kind.ordered_fieldnames, kind.array_lengths, strict=True):
+        is_text = kind.fieldtypes[kind.fieldnames.index(field)] == "char"
+        values.setdefault(field, b"" if is_text else [0] * length if length else 0)
+    return over_the_wire(kind(**values), source)
 
 
 def geodetic(north_m: float, east_m: float) -> tuple[float, float]:
@@ -82,3 +60,9 @@ def true_course_rad(north_m: float, east_m: float, bearing_rad: float) -> float:
 
 def angle_between(a_rad: float, b_rad: float) -> float:
     return abs(math.remainder(a_rad - b_rad, math.tau))
+
+
+def assert_told(message: Any, kind: str, **expected: Any) -> None:
+    """A message of this kind, and these of its fields."""
+    assert message.get_type() == kind
+    assert {name: getattr(message, name) for name in expected} == expected
