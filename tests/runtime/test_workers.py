@@ -333,7 +333,7 @@ def test_a_setpoint_that_took_too_long_is_not_sent(rig: Rig) -> None:
 
 
 def test_what_is_not_recorded_is_told_once(folder: RunFolder, tmp_path: Path) -> None:
-    """That the flight goes on without: below, and on a full disk `closed_loop/test_shown`."""
+    """That the flight goes on without: below, and on a full disk `closed_loop/test_flight`."""
     told = list[Failure]()
     writes = recorder.Recorder(folder, time.monotonic, told.append)
     moved = folder.path.rename(tmp_path / "moved")
