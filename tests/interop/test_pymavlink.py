@@ -1,4 +1,4 @@
-"""pymavlink's own tools: what its users write, and the programs that read its logs."""
+"""What users of pymavlink write, as DroneKit does: a flight, and a log that lost nothing."""
 
 import re
 import socket
@@ -22,22 +22,8 @@ def test_a_flight_with_the_high_level_functions_and_its_log(
     track = vehicle.track()
     assert max(map(height_m, track)) == pytest.approx(15.0, abs=1.0)
     assert away_m(track[-1], *place(0.0, 0.0)) < 2.0
-
-    def tool(name: str, *options: object) -> str:
-        """What one of pymavlink's programs prints."""
-        python = python_of("mavproxy")
-        command = [python, python.with_name(name), *map(str, options), log]
-        environment = {"HOME": str(tmp_path), "MAVLINK20": "1"}
-        return subprocess.check_output(
-            command, cwd=tmp_path, env=environment, text=True, timeout=60, stderr=subprocess.DEVNULL
-        )
-
-    types = {"HEARTBEAT", "GLOBAL_POSITION_INT", "PARAM_VALUE", "MISSION_ITEM_INT"}
-    assert types <= set(tool("mavlogdump.py", "--show-types").split())
-    assert re.search("GUIDED(.|\n)*RTL", tool("mavflightmodes.py"))
-    assert " 0 lost " in tool("mavloss.py")
-    assert re.search(r"^GUID_TIMEOUT\s+1\.5", tool("mavparms.py"), re.MULTILINE)
-    saved = tmp_path / "mission.txt"
-    tool("mavmission.py", "--output", saved)
-    title, *items = saved.read_text().splitlines()
-    assert (title, len(items)) == ("QGC WPL 110", 4)
+    python = python_of("mavproxy")
+    command = [python, python.with_name("mavloss.py"), log]
+    environment = {"HOME": str(tmp_path), "MAVLINK20": "1"}
+    said = subprocess.check_output(command, env=environment, text=True, timeout=60)
+    assert re.search(r"Total: [1-9]\d+ packets, 0 lost", said)
