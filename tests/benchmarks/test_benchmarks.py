@@ -5,11 +5,10 @@ import json
 import math
 import subprocess
 import sys
-from collections.abc import Iterator
 from contextlib import redirect_stderr
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import optimum
@@ -18,12 +17,10 @@ import running
 from campaign_rows import row
 from running import Found, least, main, most
 from scipy.sparse.csgraph import dijkstra
-from woods import AStar, a_star
+from woods import a_star
 
 from companion.campaign import drawn_world, truth
 from companion.library import route_terms
-from companion.world.known_map import Lattice
-from companion.world.near_map import NearMap
 from companion.world.radars import Radar
 from companion.world.terrain import PeakTerrain
 
@@ -92,49 +89,10 @@ def test_every_benchmark_finds_what_it_imports_where_the_paths_of_pytest_are_not
     subprocess.run([sys.executable, "-c", IMPORT], cwd=root, check=True, timeout=300)
 
 
-# --- the rival among near things, against brute force
-
-CELL_M, MARGIN_M, RANGE_M, SIZE = 0.5, 2.5, 16.0, 100
+# --- rivals and the best route, against brute force and closed forms
 
 
-def looked(cells: Any) -> AStar:
-    """Something stands in these cells."""
-    lattice = Lattice(cell_m=CELL_M, north_min_m=0.0, east_min_m=0.0, shape=(SIZE, SIZE))
-    near = NearMap(lattice)
-    near.met_since_s[*cells.T], near.sharp[*cells.T] = 0.0, True
-    pilot = AStar(near, 45.0 + 45.0j, MARGIN_M, RANGE_M)
-    pilot.look(near, 25.0 + 25.0j, 100.0)
-    return pilot
-
-
-def flown(pilot: AStar) -> Iterator[complex]:
-    """Half a metre at a time, until it is there."""
-    here = 10.0 + 10.0j
-    for _ in range(300):
-        yield here
-        away = pilot.aim(here) - here
-        here += 0.5 * away / max(abs(away), 1e-9)
-        if abs(here - (45.0 + 45.0j)) < 1.0:
-            break
-
-
-def test_it_flies_to_the_target_and_round_a_wall_with_the_margin() -> None:
-    cells = np.random.default_rng(1).integers(0, SIZE, size=(60, 2))
-    every = np.argwhere(np.ones((SIZE, SIZE), dtype=bool))
-    apart = np.hypot(*(every[:, None] - cells).transpose(2, 0, 1)).min(axis=1)
-    expected = np.clip((apart - 0.5) * CELL_M, 0.0, MARGIN_M + CELL_M).reshape(SIZE, SIZE)
-    np.testing.assert_allclose(looked(cells).away_m, expected)
-    assert len(list(flown(looked(np.empty((0, 2), dtype=int))))) < 105  # 49.5 m of open ground
-    wall = np.array([(40, column) for column in range(80)])  # north 20 m, to 40 m east
-    way = list(flown(looked(wall)))
-    assert len(way) < 300
-    gaps = [abs(place - complex(20.25, min(place.imag, 39.75))) for place in way]
-    assert min(gaps) > MARGIN_M - 2 * CELL_M
-    closed = looked(np.array([(40, column) for column in range(SIZE)]))
-    assert closed.aim(10.0 + 10.0j) == 10.0 + 10.0j  # there is no way
-
-
-def test_its_way_costs_as_much_as_the_cheapest_of_all() -> None:
+def test_the_rival_among_near_things_flies_the_cheapest_way_of_all() -> None:
     rng = np.random.default_rng(2)
     for shape in rng.integers(3, 15, size=(30, 2)).tolist():
         rate = rng.choice([1.0, 1.0, 20.0, np.inf], size=shape)
@@ -152,9 +110,6 @@ def test_its_way_costs_as_much_as_the_cheapest_of_all() -> None:
         assert len(way) if np.isfinite(cheapest) else not len(way)
         assert steps[index[:-1], index[1:]].sum() == pytest.approx(cheapest if len(way) else 0.0)
         assert not len(way) or (index[0], index[-1]) == (start, end)
-
-
-# --- the best route, against closed forms
 
 
 def test_the_way_round_one_radar_in_a_level_world_is_tangent_arc_tangent() -> None:
