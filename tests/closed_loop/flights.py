@@ -141,11 +141,9 @@ def warm_up() -> None:
     subprocess.run([sys.executable, "-c", load], check=True, env=ENVIRONMENT, timeout=600)
 
 
-def mission_file(name: str, to: Path, *left_out: str, **tables: Any) -> Path:
-    """A bundled mission with other values in some of its tables, written to a file."""
+def mission_file(name: str, to: Path, **tables: Any) -> Path:
+    """A bundled mission with other values in some of its tables, written to a file; None: none."""
     table = tomllib.loads((ENVIRONMENTS / name / "mission.toml").read_text(encoding="utf-8"))
-    for key in left_out:
-        del table["vehicle"][key]
     to.write_text(toml_text(merged(table, tables)), encoding="utf-8")
     return to
 

@@ -39,9 +39,10 @@ def test_a_plane_passes_its_target_and_ends_where_it_said_before_its_take_off(
 ) -> None:
     """Told to land, ArduPlane circles the target; PX4's comes down on a circle about it."""
     target = {"north_m": 1_000.0, "east_m": 250.0}
-    left_out = [] if "px4" in name else ["autopilot"]  # to land so, a file that names it is refused
-    tables = {"targets": [target], "end": {"action": "land"}}
-    mission = mission_file(name, tmp_path / "mission.toml", *left_out, **tables)
+    tables: dict[str, Any] = {"targets": [target], "end": {"action": "land"}}
+    if "ardu" in name:
+        tables["vehicle"] = {"autopilot": None}  # to land so, a file that names it is refused
+    mission = mission_file(name, tmp_path / "mission.toml", **tables)
     limits = load_mission(str(mission)).task.limits
     flight = flown_here(tmp_path / "run", ENVIRONMENTS / name / "world.toml", mission)
     place = target["north_m"], target["east_m"]
