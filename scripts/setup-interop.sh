@@ -1,5 +1,4 @@
-# Sourced by scripts/test: other people's programs, pinned, each in an environment of its own
-# (two of them exclude each other), by one pip.  Adds about a quarter of a minute to the first run.
+# Sourced by scripts/test: other people's programs, pinned, by one pip; each has its environment, for two exclude each other.
 # usage: . scripts/setup-interop.sh [--all]    (what nightly tests alone need, too)
 cd "$(dirname "${BASH_SOURCE[0]}")/.." || exit 1
 interop=${INTEROP_VENVS:-.venv-interop}
