@@ -70,6 +70,13 @@ def test_clearance_is_that_to_the_nearest_of_many_mountainsides(combine: str) ->
     height_m = true_track.heights_of(world(peaks=peaks, combine=combine))
     for _ in range(8):
         place = rng.uniform((0, -2_000), (12_000, 2_000))
+        of_each = [  # eq. 1
+            h * math.exp(-(((place[0] - n) / a) ** 2) - ((place[1] - e) / b) ** 2)
+            for n, e, h, a, b in (peak.values() for peak in peaks)
+        ]
+        assert height_m(*place) == pytest.approx(
+            max(of_each) if combine == "maximum" else sum(of_each)
+        )
         point = np.array([*place, height_m(*place) + rng.uniform(200, 900)])
         found_m = true_track.clearance_m(point[None], height_m, 1_000.0, 25.0)
         least_m = min(  # from many places, for there are several mountainsides
@@ -129,6 +136,7 @@ def keep_out(east_m: float, *, round_: bool = False) -> dict[str, Any]:
         ("climb, deg", -0.1, helix(9_000.0, 25.0, 10.6), {}, {}),
         ("dive, deg", -0.1, helix(9_000.0, 25.0, -10.6), {}, {}),
         ("ceiling, m", -1.0, straight(5026.0), {}, {}),
+        ("ceiling, m", 1525.0, DIP, {}, {}),
         ("floor, m", -975.0, straight(2000.0), {}, {}),  # never in the band
         ("floor, m", -75.0, DIP, {}, {}),
         ("floor, m", 525.0, FROM_THE_GROUND, {}, {}),  # the climb is not judged
