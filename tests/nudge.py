@@ -44,25 +44,21 @@ def nudged_positions(seed: int) -> Iterator[None]:
         yield
 
 
-def nudged_question(request: PlanRequest, seed: int) -> PlanRequest:
-    """The same question, asked a little beside where it was asked."""
-    start = request.start
-    place = np.array(nudged(start.position_nea_m, seed))
-    return replace(
-        request,
-        start=replace(start, position_nea_m=place),
-        scan_nea_m=nudged(request.scan_nea_m, seed),
-        target_ne_m=nudged(request.target_ne_m, seed),
-    )
-
-
 @contextmanager
 def nudged_questions(module: Any, seed: int) -> Iterator[None]:
-    """The planner, as a module of tests knows it, is asked a little beside."""
+    """The planner, as a module of tests knows it, is asked a little beside where it was asked."""
     exact = planning.plan
 
     def plan(request: PlanRequest, *arguments: Any, **keywords: Any) -> Any:
-        return exact(nudged_question(request, seed), *arguments, **keywords)
+        start = request.start
+        place = np.array(nudged(start.position_nea_m, seed))
+        aside = replace(
+            request,
+            start=replace(start, position_nea_m=place),
+            scan_nea_m=nudged(request.scan_nea_m, seed),
+            target_ne_m=nudged(request.target_ne_m, seed),
+        )
+        return exact(aside, *arguments, **keywords)
 
     with pytest.MonkeyPatch.context() as patch:
         if getattr(module, "plan", None) is exact:

@@ -68,11 +68,6 @@ class Program:
             self._ended = True
             self._news.notify_all()
 
-    @property
-    def returncode(self) -> int | None:
-        """Its exit code; None while it runs."""
-        return self.process.poll()
-
     def type(self, line: str) -> None:
         """Enter a line."""
         assert self.process.stdin is not None

@@ -13,22 +13,21 @@ from pathlib import Path
 
 import pytest
 from numpy._core import _multiarray_umath as numpy_core
+from programs import ROOT
 
 from companion.planner import kernels
 
-ROOT = Path(__file__).parents[1]
 DECIDING = (
-    "tests/replay/test_golden.py",
-    "tests/mission/test_orders.py",
-    "tests/planner/test_recheck.py",
-    "-k",
-    "(not test_orders or flown_one) and not what_it_decided",
+    *("tests/replay/test_golden.py", "tests/mission/test_orders.py"),
+    *("tests/planner/test_recheck.py", "-k"),
+    "(not test_orders or flown_one) and not what_it_decided and not recipe",
 )
 ALL_DECIDING = ("-n", "auto", "tests/replay", "tests/mission", "tests/planner")
 LONGEST_S = 3_600.0
 
 
-def otherwise(scratch: Path) -> dict[str, str]:
+@pytest.fixture
+def otherwise(tmp_path: Path) -> dict[str, str]:
     """The environment in which numba, numpy, OpenBLAS and glibc compute otherwise than here."""
     features = numpy_core.__cpu_features__
     optional = [name for name in numpy_core.__cpu_dispatch__ if features[name]]
@@ -36,7 +35,7 @@ def otherwise(scratch: Path) -> dict[str, str]:
         **{name: value for name, value in os.environ.items() if not name.startswith("PYTEST")},
         "NUMBA_CPU_NAME": "generic",
         "NUMBA_CPU_FEATURES": "",
-        "NUMBA_CACHE_DIR": str(scratch / "numba"),
+        "NUMBA_CACHE_DIR": str(tmp_path / "numba"),
         "NPY_DISABLE_CPU_FEATURES": " ".join(optional),
     }
     if platform.machine() == "x86_64":
@@ -45,34 +44,22 @@ def otherwise(scratch: Path) -> dict[str, str]:
     return environment
 
 
-def signature(environment: dict[str, str]) -> str:
-    """What plans that are computed there are named by."""
-    program = "from companion.planner import kernels; print(kernels.signature())"
-    done = subprocess.run(
-        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
-    )
-    return done.stdout
-
-
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="of others only numba is told to")
-def test_it_is_other_arithmetic_and_plans_of_the_two_are_told_apart(tmp_path: Path) -> None:
-    here = signature(dict(os.environ))
-    assert here.strip() == kernels.signature()
-    assert signature(otherwise(tmp_path)) != here
+def test_it_is_other_arithmetic_and_plans_of_the_two_are_told_apart(
+    otherwise: dict[str, str],
+) -> None:
+    program = "from companion.planner import kernels; print(kernels.signature())"
+    told = subprocess.check_output([sys.executable, "-c", program], env=otherwise, text=True)
+    assert told.strip() not in ("", kernels.signature())
 
 
 def test_decisions_are_the_same_in_other_arithmetic(
-    tmp_path: Path, request: pytest.FixtureRequest
+    otherwise: dict[str, str], tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
     deciding = ALL_DECIDING if request.config.getoption("--all") else DECIDING
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *deciding]
     done = subprocess.run(
         [*command, "--basetemp", str(tmp_path / "tests")],
-        cwd=ROOT,
-        env=otherwise(tmp_path),
-        capture_output=True,
-        text=True,
-        timeout=LONGEST_S,
-        check=False,
-    )
+        cwd=ROOT, env=otherwise, capture_output=True, text=True, timeout=LONGEST_S, check=False,
+    )  # fmt: skip
     assert done.returncode == 0, done.stdout[-8_000:]

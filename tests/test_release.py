@@ -1,4 +1,7 @@
-"""What is released: built, installed where no checkout is, and used by an ordinary user."""
+"""What is released: built, installed where no checkout is, and used by an ordinary user.
+
+And a clone is set up by `scripts/setup.sh` with what its user needs, and nothing is missing.
+"""
 
 import json
 import os
@@ -10,7 +13,7 @@ import tomllib
 import venv
 import zipfile
 from collections.abc import Iterator
-from importlib.metadata import Distribution
+from importlib.metadata import Distribution, packages_distributions
 from pathlib import Path
 
 import pytest
@@ -38,16 +41,15 @@ def folder() -> Iterator[Path]:
 
 
 @pytest.fixture(scope="module")
-def built(folder: Path) -> Path:
-    """The folder of a source distribution, and of a wheel that is built from nothing else."""
-    hatchling = [sys.executable, "-m", "hatchling", "build", "-d", str(folder / "dist"), "-t"]
+def source(folder: Path) -> Path:
+    """The source distribution, unpacked, with the wheel that is built from nothing else."""
+    hatchling = [sys.executable, "-m", "hatchling", "build", "-d", str(folder), "-t"]
     subprocess.run([*hatchling, "sdist"], cwd=ROOT, check=True, capture_output=True)
-    [source] = (folder / "dist").glob("*.tar.gz")
-    (folder / "source").mkdir()
-    subprocess.run(["tar", "-xf", source, "-C", folder / "source"], check=True)
-    [tree] = (folder / "source").iterdir()
+    [packed] = folder.glob("*.tar.gz")
+    subprocess.run(["tar", "-xf", packed, "-C", folder], check=True)
+    tree = packed.with_suffix("").with_suffix("")
     subprocess.run([*hatchling, "wheel"], cwd=tree, check=True, capture_output=True)
-    return folder / "dist"
+    return tree
 
 
 def files(root: Path, *parts: str) -> set[str]:
@@ -56,55 +58,27 @@ def files(root: Path, *parts: str) -> set[str]:
         path.relative_to(root).as_posix()
         for part in parts
         for path in (root / part).rglob("*")
-        if path.is_file() and "__pycache__" not in path.parts
+        if path.is_file() and not {"__pycache__", ".unpacked"} & set(path.parts)
     }
 
 
-def test_the_wheel_has_both_packages_with_all_their_data_and_nothing_else(built: Path) -> None:
-    [wheel] = built.glob("*.whl")
+def test_both_distributions_have_all_that_they_need_and_nothing_else(source: Path) -> None:
+    [wheel] = source.parent.glob("*.whl")
     with zipfile.ZipFile(wheel) as packed:
         names = {name for name in packed.namelist() if ".dist-info/" not in name}
         about = {name.partition(".dist-info/")[2] for name in packed.namelist()}
     assert names == files(ROOT, *OURS)
     assert {"licenses/LICENSE", "licenses/THIRD-PARTY.md", "entry_points.txt"} <= about
-    kinds = {Path(name).suffix for name in names}
-    assert {".toml", ".tif", ".j2", ".parm", ".typed"} <= kinds
-
-
-def test_the_source_distribution_has_what_the_suite_needs(built: Path, folder: Path) -> None:
-    del built
-    [tree] = (folder / "source").iterdir()
-    for part in (*OURS, "scripts", "docs", ".ci"):
-        assert files(tree, part) == files(ROOT, part)
-    missing = files(ROOT, "tests") - files(tree, "tests")
-    assert not {name for name in missing if "/.unpacked/" not in name}
-    assert {"README.md", "CHANGELOG.md", "LICENSE", "requirements/dev.txt"} <= files(tree, ".")
+    assert {".toml", ".tif", ".j2", ".parm", ".typed"} <= {Path(name).suffix for name in names}
+    for part in (*OURS, "scripts", "docs", ".ci", "tests"):  # what the suite needs
+        assert files(source, part) == files(ROOT, part)
+    assert {"README.md", "CHANGELOG.md", "LICENSE", "requirements/dev.txt"} <= files(source, ".")
 
 
 def top_level(package: Distribution) -> set[Path]:
     """The files and folders of a package in the folder that it is installed in."""
     names = {each.parts[0] for each in package.files or () if each.parts[0] != ".."}
     return {Path(str(package.locate_file(name))) for name in names - {"__pycache__"}}
-
-
-@pytest.fixture(scope="module")
-def installed(built: Path, folder: Path) -> Path:
-    """A fresh environment with the wheel, and exactly what the project says that it needs.
-
-    No extra: as somebody has it who installs the bare project.
-    """
-    environment = folder / "environment"
-    venv.create(environment, symlinks=True)
-    [packages] = environment.glob("lib/python*/site-packages")
-    for package in needed(PROJECT["dependencies"]).values():
-        for path in top_level(package):
-            if not (packages / path.name).exists():
-                (packages / path.name).symlink_to(path)
-    pip = [sys.executable, "-m", "pip", f"--python={environment}/bin/python", "install", "-q"]
-    [wheel] = built.glob("*.whl")
-    command = [*pip, "--no-deps", "--no-index", "--disable-pip-version-check", str(wheel)]
-    subprocess.run(command, check=True)
-    return environment / "bin"
 
 
 class OrdinaryUser:
@@ -135,18 +109,30 @@ class OrdinaryUser:
 
 
 @pytest.fixture(scope="module")
-def user(folder: Path, installed: Path) -> OrdinaryUser:
-    return OrdinaryUser(folder, installed)
+def user(source: Path, folder: Path) -> OrdinaryUser:
+    """Of a fresh environment with the wheel, and exactly what the project says that it needs.
 
-
-@pytest.mark.parametrize("program", ["companion", "vehicle-sim"])
-def test_both_programs_say_their_version(user: OrdinaryUser, program: str) -> None:
-    assert user.runs(program, "--version").split() == [PROJECT["version"]]
+    No extra: as somebody has it who installs the bare project.
+    """
+    environment = folder / "environment"
+    venv.create(environment, symlinks=True)
+    [packages] = environment.glob("lib/python*/site-packages")
+    for package in needed(PROJECT["dependencies"]).values():
+        for path in top_level(package):
+            if not (packages / path.name).exists():
+                (packages / path.name).symlink_to(path)
+    pip = [sys.executable, "-m", "pip", f"--python={environment}/bin/python", "install", "-q"]
+    [wheel] = source.parent.glob("*.whl")
+    command = [*pip, "--no-deps", "--no-index", "--disable-pip-version-check", str(wheel)]
+    subprocess.run(command, check=True)
+    return OrdinaryUser(folder, environment / "bin")
 
 
 @pytest.mark.closed_loop
 def test_an_ordinary_user_flies_replays_and_reports(user: OrdinaryUser) -> None:
     """With a read-only home: nothing that is said sounds like a fault."""
+    for program in ("companion", "vehicle-sim"):
+        assert user.runs(program, "--version").split() == [PROJECT["version"]]
     load = "from companion.runtime.compiler import load_kernel; load_kernel()"
     user.runs("python", "-c", load)  # the simulator has little patience
     port = free_port()
@@ -161,8 +147,8 @@ def test_an_ordinary_user_flies_replays_and_reports(user: OrdinaryUser) -> None:
         assert simulator.wait(60.0) == 0, simulator.transcript
     finally:
         simulator.end()
-    said += user.runs("companion", "replay", "flight")
-    said += user.runs("companion", "report", "flight")
+    for command in ("replay", "report"):
+        said += user.runs("companion", command, "flight")
     assert not re.search("warn|error|traceback|cache", said, re.IGNORECASE), said
     flight = user.work / "flight"
     assert json.loads((flight / "run.json").read_text("utf-8"))["companion"] == PROJECT["version"]
@@ -175,3 +161,44 @@ def test_every_package_that_is_needed_is_in_the_notices() -> None:
     named = set(re.findall(r"^\| ([\w-]+) \| (?!not stated)\S", page, re.MULTILINE))
     extras = [each for every in PROJECT["optional-dependencies"].values() for each in every]
     assert set(needed(PROJECT["dependencies"] + extras)) <= named, "run scripts/docs"
+
+
+WITHOUT_DEVELOPERS = """
+import sys
+class Refuses:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {names!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+sys.meta_path.insert(0, Refuses())
+"""
+
+
+def pinned(wanted: str) -> set[str]:
+    text = (ROOT / "requirements" / f"{wanted}.txt").read_text(encoding="utf-8")
+    return set(re.findall(r"^([\w.-]+)==", text, re.MULTILINE))
+
+
+@pytest.mark.parametrize(
+    ("wanted", "modules"),
+    [
+        ("fly", "companion.cli, vehicle_sim.server"),
+        ("view", "companion.live_view.page"),
+        ("campaign", "companion.campaign.store, distributed, polars"),
+        ("compare", "ompl"),
+    ],
+)
+def test_a_clone_is_set_up_with_what_its_user_needs(wanted: str, modules: str) -> None:
+    """And for flying with what setup.sh compiles: all that both programs are made of."""
+    only = pinned("dev") - pinned(wanted)
+    names = {
+        module
+        for module, distributions in packages_distributions().items()
+        if {each.lower().replace("_", "-") for each in distributions} <= only
+    }
+    assert {"pytest", "hatchling"} <= names
+    assert ("viser" in names) == (wanted != "view")
+    setup = (ROOT / "scripts" / "setup.sh").read_text(encoding="utf-8")
+    [compiles] = re.findall(r"^compiles='(.*?)\n[^\n]*load_proof\(\)'$", setup, re.M | re.S)
+    program = WITHOUT_DEVELOPERS.format(names=names) + compiles * (wanted == "fly")
+    program += f"\nimport {modules}"
+    subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True, timeout=120)

@@ -1,11 +1,9 @@
-"""Flights for tests: each looked at by many is flown once; none outlives the test that began it."""
+"""No program outlives the test that began it, and the flight over the hills is flown once."""
 
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Any
+from collections.abc import Iterator
 
 import pytest
-from flights import BAD_LINK, HILLS, RUNNING, Flight, launch
+from flights import FAULTS, HILLS, HILLS_MISSION, RUNNING, SEED, Recorded, flown_here
 
 
 @pytest.fixture(autouse=True)
@@ -16,24 +14,7 @@ def _none_is_left_running() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Any]:
-    """Flights to their end, each flown once for all tests that look at it.
-
-    by: flies it into a folder; world, mission and options are its arguments.
-    """
-    flights: dict[tuple[Any, ...], Any] = {}
-
-    def fly(*arguments: Any, by: Callable[..., Any] = _to_its_end) -> Any:
-        key = (by, *arguments)
-        if key not in flights:
-            flights[key] = by(tmp_path_factory.mktemp("flight") / "run", *arguments)
-        return flights[key]
-
-    return fly
-
-
-def _to_its_end(folder: Path, *arguments: str) -> Flight:
-    options = BAD_LINK if arguments[0] == HILLS else ()
-    flight = launch(folder, *arguments, simulator_options=options)
-    flight.wait()
-    return flight
+def hills(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    """The flight over the hills, in this process; who looks at it is of the group `hills`."""
+    folder = tmp_path_factory.mktemp("hills") / "run"
+    return flown_here(folder, HILLS, HILLS_MISSION, FAULTS, SEED)

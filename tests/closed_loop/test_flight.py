@@ -1,37 +1,247 @@
-"""Whole flights, and what ends one."""
+"""Whole flights: what they leave, and that over UDP they are the same to the byte.
 
-from typing import Any
+The flight over the hills is flown twice: in this process, and over UDP by two processes, where it
+is shown on a terminal and as JSON, on a disk that becomes full.
+"""
 
+import json
+import os
+import pty
+import re
+import socket
+import subprocess
+import sys
+import termios
+import threading
+from pathlib import Path
+from typing import NamedTuple, get_args
+
+import geopandas
+import msgspec
 import pytest
 import true_track
 from flights import (
-    EACH_SCENE,
+    ENVIRONMENT,
+    ENVIRONMENTS,
+    FAULTS,
     HILLS,
     HILLS_MISSION,
-    flown_as,
-    folder_of,
+    SEED,
+    Recorded,
+    flown_here,
+    launch,
+    run,
+    warm_up,
+)
+from programs import BIN, free_port
+from pymavlink.dialects.v20 import all as wire
+from tlog import recorded_frames
+
+from companion.config import load_mission
+from companion.planner.plan import plan
+from companion.replay.command import Format, export
+from companion.replay.exporting import recorded
+from companion.runtime.compiler import load_kernel
+from companion.runtime.in_process import fly_in_process
+from companion.session import Session
+from companion.telemetry.flight_status import FlightBegun, FlightEnded, FlightStatus
+from companion.telemetry.journal import Journal
+from companion.telemetry.run_folder import whole_records
+from vehicle_sim.simulation import Simulation
+from vehicle_sim.world import read_world
+
+pytestmark = [pytest.mark.closed_loop, pytest.mark.xdist_group("hills")]
+TICK_S = 0.15  # a position, and its rounding
+WIDTH = 80
+MOST_BYTES = 1_300_000
+"""The operating system refuses more than so many bytes of any file of the companion's."""
+FLY = (
+    f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({MOST_BYTES},) * 2)\n"
+    "from companion.cli import main\nmain()"
 )
 
-pytestmark = pytest.mark.closed_loop
+
+# --- in this process
 
 
-@EACH_SCENE
-def test_a_flight_arrives_and_its_true_track_keeps_every_bound(flown: Any, name: str) -> None:
-    """Along legs that the compiled kernel has proven, all of them."""
-    flight, folder = flown(*flown_as(name)), folder_of(name)
-    flight.ended_well()
-    legs = [entry for entry in flight.journal if entry.get("kind") == "plan ready"]
-    assert len(legs) == flight.kinds.count("leg") > 2
+def test_a_flight_arrives_by_proven_legs_and_its_true_track_keeps_every_bound(
+    hills: Recorded,
+) -> None:
+    assert hills.outcome == "arrived"
+    legs = hills.entries("plan ready")
+    assert len(legs) >= len(hills.entries("leg")) > 2
     assert all(leg["certificate"]["broken"] == [] for leg in legs)
     assert {leg["kernel"].split()[0] for leg in legs} == {"numba"}
-    truth = flight.folder / "truth.jsonl"
-    track = true_track.judge_files(folder / "world.toml", folder / "mission.toml", truth)
-    assert track.ok, [str(check) for check in track.violations]
-    assert flight.truth[-1]["mode"] == "BRAKE"
+    margins = true_track.judge_files(Path(HILLS), Path(HILLS_MISSION), hills.folder / "truth.jsonl")
+    assert min(margins.values()) >= 0.0, margins
+    assert hills.truth[-1]["mode"] == "BRAKE"
 
 
 @pytest.mark.nightly
-def test_the_paper_profile_flies_too(flown: Any) -> None:
-    flight = flown(HILLS, HILLS_MISSION, "--profile", "paper")
-    flight.ended_well()
+@pytest.mark.parametrize("name", ["valley", "environment-1", "environment-2"])
+def test_so_it_does_over_each_bundled_ground(name: str, tmp_path: Path) -> None:
+    world, mission = (ENVIRONMENTS / name / f"{what}.toml" for what in ("world", "mission"))
+    flight = flown_here(tmp_path / "run", world, mission)
+    assert flight.outcome == "arrived"
+    margins = true_track.judge_files(world, mission, flight.folder / "truth.jsonl")
+    assert min(margins.values()) >= 0.0, margins
+
+
+@pytest.mark.nightly
+def test_the_paper_profile_flies_too(tmp_path: Path) -> None:
+    flight = launch(tmp_path / "run", HILLS, HILLS_MISSION, "--profile", "paper")
+    flight.ends_well()
     assert flight.journal[0]["profile"] == "paper"
+
+
+def test_its_journal_is_as_documented_and_tells_why_it_holds_as_exports_do(hills: Recorded) -> None:
+    journal = Journal(hills.folder / "journal.jsonl")
+    entries = list(journal.entries())
+    assert journal.findings == ()
+    assert "NO_FIX" in {entry.code for entry in entries if entry.kind == "phase"}
+    kinds = {"scan done", "plan asked", "plan ready", "leg", "prepared", "end"}
+    assert kinds <= {entry.kind for entry in entries}
+    flight, _ = recorded(hills.folder)
+    holds = [moment.why for moment in flight.moments if moment.what == "hold"]
+    assert holds
+    assert all(holds)
+    export(hills.folder, "geojson")
+    table = geopandas.read_file(hills.folder / "flight.geojson")
+    assert list(table[table["what"] == "hold"]["why"]) == holds
+
+
+def test_a_flight_in_one_process_opens_no_socket_and_starts_no_thread(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refused(*_: object, **__: object) -> None:
+        raise AssertionError
+
+    load_kernel()
+    monkeypatch.setattr(socket, "socket", refused)
+    monkeypatch.setattr(threading.Thread, "start", refused)
+    session = Session(load_mission(HILLS_MISSION), seed=SEED, lockstep=True)
+    vehicle = Simulation(read_world(Path(HILLS)))
+    flown = fly_in_process(
+        session, vehicle, planner=plan, stop_asked=lambda: vehicle.now_us >= 60_000_000
+    )
+    assert flown.end.outcome.value == "stopped"
+    assert 60.0 <= vehicle.now_us * 1e-6 < 61.0
+
+
+# --- over UDP
+
+
+class Shown(NamedTuple):
+    """A flight that was shown: its exit code, its folders, and what both of its outputs showed."""
+
+    code: int
+    flight: Recorded
+    truth: Path
+    screen: str
+    lines: list[str]
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory: pytest.TempPathFactory) -> Shown:
+    folder, port = tmp_path_factory.mktemp("shown"), free_port()
+    (folder / "faults.txt").write_text(FAULTS, encoding="utf-8")
+    screen, terminal = pty.openpty()
+    termios.tcsetwinsize(terminal, (24, WIDTH))
+    warm_up()
+    how = f"--seed {SEED} --start --lockstep --json --connect udpin:127.0.0.1:{port} --out run"
+    with (folder / "lines.json").open("wb") as lines:
+        us = subprocess.Popen(
+            [sys.executable, "-c", FLY, "fly", HILLS_MISSION, *how.split()],
+            stdin=terminal, stdout=lines, stderr=terminal, cwd=folder,
+            env={**ENVIRONMENT, "TERM": "xterm-256color", "COLUMNS": f"{WIDTH}"},
+        )  # fmt: skip
+    os.close(terminal)
+    how = f"--seed {SEED} --connect udpout:127.0.0.1:{port} --lockstep --out {folder} --faults"
+    vehicle = run(BIN / "vehicle-sim", HILLS, *how.split(), folder / "faults.txt")
+    try:
+        drawn = b"".join(iter(lambda: _drawn(screen), b""))
+        code = us.wait(60.0)
+        assert vehicle.wait() == 0, vehicle.transcript
+    finally:
+        us.kill()
+        os.close(screen)
+    told = (folder / "lines.json").read_text(encoding="utf-8").splitlines()
+    return Shown(code, Recorded(folder=folder / "run"), folder, drawn.decode(), told)
+
+
+def _drawn(screen: int) -> bytes:
+    try:
+        return os.read(screen, 65536)
+    except OSError:  # Linux's end of a terminal
+        return b""
+
+
+def from_the_first_sync(log: Path) -> list[tuple[int, bytes]]:
+    """Microseconds and frames of a log from the first question of the lockstep on.
+
+    Before it the simulator sends heartbeats by the wall clock, until it is heard.
+    """
+    frames = recorded_frames(log)
+    sync = wire.MAVLINK_MSG_ID_TIMESYNC.to_bytes(3, "little")
+    first = next(number for number, (_, frame) in enumerate(frames) if frame[7:10] == sync)
+    return [(stamp_us - frames[first][0], frame) for stamp_us, frame in frames[first:]]
+
+
+def test_over_udp_and_while_it_is_shown_it_is_the_same_to_the_byte(
+    shown: Shown, hills: Recorded
+) -> None:
+    """As far as it could be recorded; and to its end, as the vehicle truly flew."""
+    assert shown.code == 0, shown.screen
+    there = from_the_first_sync(shown.flight.folder / "flight.tlog")
+    assert len(there) > 5_000
+    assert there == from_the_first_sync(hills.folder / "flight.tlog")[: len(there)]
+    _, *entries = shown.flight.journal
+    assert entries == hills.journal[1 : len(entries) + 1]
+    assert Recorded(folder=shown.truth).truth[: len(hills.truth)] == hills.truth
+
+
+def test_a_flight_whose_disk_is_full_goes_on_says_so_and_leaves_whole_records(
+    shown: Shown, tmp_path: Path
+) -> None:
+    for said in ("arrived", "not recorded any more: File too large", "recording stopped: File"):
+        assert said in shown.screen
+    folder = shown.flight.folder
+    log = folder / "flight.tlog"
+    assert MOST_BYTES - 300 < log.stat().st_size == whole_records(log) <= MOST_BYTES
+    journal = Journal(folder / "journal.jsonl")
+    assert "end" not in {entry.kind for entry in journal.entries()}  # that was later
+    assert journal.findings == ()
+    for to in get_args(Format):
+        export(folder, to, tmp_path / f"flight.{to}")
+
+
+def test_its_lines_of_json_are_as_documented_and_say_what_its_journal_says(
+    shown: Shown, hills: Recorded
+) -> None:
+    """The page is made from these classes."""
+    kinds = FlightBegun | FlightStatus | FlightEnded
+    begun, *statuses, ended = (msgspec.json.decode(line, type=kinds) for line in shown.lines)
+    assert isinstance(begun, FlightBegun)
+    for line, told in zip(shown.lines, (begun, *statuses, ended), strict=True):
+        assert json.loads(line) == json.loads(msgspec.json.encode(told))  # no other fields
+    [end] = hills.entries("end")
+    assert (ended.outcome.value, ended.reason, ended.exit_code) == (
+        end["outcome"],
+        end["reason"],
+        0,
+    )
+    phases = [(0.0, "waiting"), *((e["t_s"], e["phase"]) for e in hills.entries("phase"))]
+    for status in statuses:
+        begins = [phase for t_s, phase in phases if abs(t_s - status.t_s) <= TICK_S]
+        before = [phase for t_s, phase in phases if t_s <= max(status.t_s - TICK_S, 0.0)][-1]
+        assert status.phase in (before, *begins), status
+    assert {"flying", "done"} <= {status.phase for status in statuses}
+
+
+def test_on_a_terminal_a_table_is_drawn_and_the_cursor_is_given_back(shown: Shown) -> None:
+    assert shown.screen.count("\x1b[?25l") == shown.screen.count("\x1b[?25h") > 0
+    assert shown.screen.rindex("\x1b[?25h") < shown.screen.index("run folder: ")
+    text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", shown.screen)  # no colours, no moves
+    table = [line for line in text.splitlines() if line.startswith(("to go ", "FLYING "))]
+    assert table
+    assert max(map(len, table)) <= WIDTH

@@ -1,7 +1,7 @@
-"""The companion's receive path under arbitrary input: what both fuzzers call.
+"""The companion's receive path under arbitrary input: what the fuzzer and the tests call.
 
 A flight with each kind of simulated autopilot is recorded once: what the vehicle said, and what
-the companion was then, ten times a second.  An input chooses one of these moments and goes on from
+the companion was then, every three seconds.  An input chooses one of these moments and goes on from
 there: telemetry of the recording, raw bytes, intact frames of anybody with any payload, silence,
 plans, parts that die.  So the fuzzer gets past the checksums and into every phase, and one input
 always does the same.
@@ -14,13 +14,15 @@ import math
 import pickle
 import struct
 import time
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, replace
 from typing import Any
 
 import scripted_vehicle
 from pymavlink.dialects.v20 import all as mavlink
 from random_programs import COMMANDS, MESSAGES, VALUES, Reader, command, intact, message_numbers
 
+from companion.config import load_mission
 from companion.geodesy import LocalFrame
 from companion.mavlink.autopilots import Autopilot
 from companion.mavlink.autopilots.common import Firmware
@@ -28,23 +30,22 @@ from companion.mavlink.frames import Receiver
 from companion.mavlink.link import Output
 from companion.mission.decisions import Context
 from companion.mission.mission import EndAction, Mission
-from companion.path.limits import Limits
 from companion.planner.request import Backtrack, NotPlanned, PlanOutcome, PlanRequest, Refusal
-from companion.planner.settings import PlannerSettings, Task
 from companion.session import Session
 from companion.telemetry.run_folder import journal_line
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import flat_world
 
-copyreg.pickle(struct.Struct, lambda each: (struct.Struct, (each.format,)))  # type: ignore[arg-type, return-value]
+copyreg.pickle(struct.Struct, lambda each: (struct.Struct, (each.format,)))
 
 PERSONALITIES = (
-    ("ardupilot", "copter", False),
-    ("ardupilot", "plane", False),
-    ("px4", "copter", False),
-    ("px4", "plane", False),
-    ("ardupilot", "copter", True),  # in lockstep
+    ("ardupilot", "copter", "sitl-arducopter", False),
+    ("ardupilot", "plane", "sitl-arduplane", False),
+    ("px4", "copter", "sitl-px4", False),
+    ("px4", "plane", "sitl-px4-plane", False),
+    ("ardupilot", "copter", "sitl-arducopter", True),  # in lockstep
 )
+PLACE = {"latitude_deg": 47.4, "longitude_deg": 8.5}
 HANDLED = message_numbers(
     """
     HEARTBEAT GLOBAL_POSITION_INT LOCAL_POSITION_NED ATTITUDE GPS_RAW_INT EKF_STATUS_REPORT
@@ -58,7 +59,13 @@ HANDLED = message_numbers(
 ORDERS = (192, 193, 21, 20, 300, 192, 512, 519, 520)
 SENDERS = ((1, 1), (1, 1), (1, 1), (1, 1), (255, 190), (1, 100), (1, 195), (2, 1), (1, 191), (0, 0))
 ITEM_COMMANDS = (16, 17, 19, 20, 21, 22, 82, 5000, 5001, 5002, 5003, 5004, 5100)
-_QUESTIONS = {
+MODES = (0, 4, 5, 9, 10, 11, 15, 17, 4 << 16 | 3 << 24, 6 << 16, 4 << 16 | 2 << 24, 0xFFFFFFFF)
+SLOWEST_S = 20.0
+"""An input that takes longer is called a hang: honest ones take less than a second."""
+MOST_TICKS = 300
+LARGEST_SESSION = 4_000_000
+"""Of a session after an input, in bytes: the known map is most of an honest one."""
+_ANSWERS = {
     "MISSION_REQUEST_LIST": mavlink.MAVLINK_MSG_ID_MISSION_COUNT,
     "MISSION_REQUEST_INT": mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT,
     "PARAM_REQUEST_READ": mavlink.MAVLINK_MSG_ID_PARAM_VALUE,
@@ -67,59 +74,32 @@ _QUESTIONS = {
     "COMMAND_LONG": mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
     "COMMAND_INT": mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
 }
-"""And the messages that answer them."""
+"""To what the companion asks."""
 _OF_LISTS = ("MISSION_REQUEST_LIST", "MISSION_REQUEST_INT")
-"""Those that a tick answers by itself."""
-_MOST_QUESTIONS = 20
-MODES = (0, 4, 5, 9, 10, 11, 15, 17, 4 << 16 | 3 << 24, 6 << 16, 4 << 16 | 2 << 24, 0xFFFFFFFF)
-SLOWEST_S = 20.0
-"""An input that takes longer is called a hang: honest ones take less than a second."""
-MOST_TICKS = 300
-LARGEST_SESSION = 4_000_000
-"""Of a session after an input, in bytes: the known map is most of an honest one."""
-_LISTS = (44, 47, 73)
-"""MISSION_COUNT, MISSION_ACK, MISSION_ITEM_INT: left out of the recordings."""
-_TICK_STEPS = 10
-_TICK_S = 0.1
-_MOMENT_TICKS = 30
-_LONGEST_S = 240.0
-_LATITUDE_DEG, _LONGITUDE_DEG, _GROUND_AMSL_M = 47.4, 8.5, 488.0
+"""Those that a tick answers by itself; the vehicle's own answers are left out of the recordings."""
+_LISTS = message_numbers("MISSION_COUNT MISSION_ACK MISSION_ITEM_INT")
+_TICK_S, _TICK_STEPS, _MOMENT_TICKS, _LONGEST_S = 0.1, 10, 30, 240.0
 _STATION = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+_VEHICLE = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
 _FINITE = (
-    "SET_POSITION_TARGET_GLOBAL_INT",
-    "SET_POSITION_TARGET_LOCAL_NED",
-    "PARAM_VALUE",
-    "PARAM_SET",
+    *("SET_POSITION_TARGET_GLOBAL_INT", "SET_POSITION_TARGET_LOCAL_NED"),
+    *("PARAM_VALUE", "PARAM_SET"),
 )
 """Messages in which every number must be one: in a command, NaN means that it is left out."""
 
 
-def mission(autopilot: str, kind: str) -> Mission:
-    """Some hundred metres over level ground."""
-    plane = kind == "plane"
-    limits = Limits(
-        speed_m_s=18.0 if plane else 8.0,
-        acceleration_m_s2=2.0,
-        climb_rate_m_s=2.0,
-        turn_radius_m=100.0 if plane else 30.0,
-        climb_angle_rad=0.08,
-        dive_angle_rad=0.08,
-        floor_amsl_m=_GROUND_AMSL_M + 10.0,
-        ceiling_amsl_m=_GROUND_AMSL_M + 200.0,
-        north_m=(-800.0, 800.0),
-        east_m=(-800.0, 800.0),
-        loiter_radius_m=150.0 if plane else 0.0,
-    )
-    settings = PlannerSettings(
-        scan_range_m=1_000.0, safety_distance_m=10.0, planning_time_s=1.0, evaluations=100
-    )
-    return Mission(
-        name="fuzzed",
-        frame=LocalFrame(latitude_deg=_LATITUDE_DEG, longitude_deg=_LONGITUDE_DEG),
+def mission(name: str) -> Mission:
+    """A short one with a radar, at one place for all autopilots."""
+    base = load_mission(name)
+    settings = replace(base.task.settings, planning_time_s=1.0, evaluations=100)
+    return replace(
+        base,
+        frame=LocalFrame(**PLACE),
         targets_ne_m=((60.0, 20.0), (0.0, 40.0)),
-        task=Task(limits=limits, settings=settings),
+        task=replace(base.task, settings=settings),
         end_action=EndAction.LAND,
-        autopilot=autopilot,
+        scanner_component_id=100,
+        known=None,
     )
 
 
@@ -130,12 +110,13 @@ def straight_plan(request: PlanRequest) -> PlanOutcome:
     return scripted_vehicle.straight_plan(request)
 
 
+# --- sessions as bytes
+
 _outside: list[Context | Autopilot | Firmware] = []
+"""What stays the same for a whole mission is not in them."""
 
 
 class _Pickler(pickle.Pickler):
-    """Sessions into bytes; what stays the same for a whole mission stays outside."""
-
     def persistent_id(self, obj: Any) -> int | None:
         if not isinstance(obj, Context | Autopilot | Firmware):
             return None
@@ -160,6 +141,9 @@ def restored(content: bytes) -> Session:
     """A session as it was."""
     session: Session = _Unpickler(io.BytesIO(content)).load()
     return session
+
+
+# --- the flights
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,15 +186,46 @@ class Target:
             raise TimeoutError(f"{took_s:.1f} s for {len(data)} bytes")
 
 
-class Run:
-    """One session, from one moment on."""
+def _flown(autopilot: Any, kind: Any, name: str, lockstep: bool) -> Recording:
+    """Fly the mission with the simulator as the other end."""
+    flown = mission(name)
+    home_m = flown.task.limits.floor_amsl_m - 26.0  # below the band, as all these missions have it
+    world = flat_world(
+        kind, autopilot, **PLACE, altitude_amsl_m=home_m, heading_deg=0.0, scan_range_m=1_000.0
+    )
+    vehicle, session = Simulation(world), Session(flown, seed=1, lockstep=lockstep, go=True)
+    run, recording = Run(session, [], vehicle), Recording([], [])
+    while len(recording.heard) * _TICK_S < _LONGEST_S:
+        for _ in range(_TICK_STEPS):
+            vehicle.step()
+        if lockstep:
+            vehicle.ask_for_sync()
+        frames = [frame for _, frame in vehicle.take_frames()]
+        phase = session.state.phase.value
+        if len(recording.heard) % _MOMENT_TICKS == 0 or phase != recording.moments[-1][1]:
+            recording.moments.append((len(recording.heard), phase, saved(session)))
+        recording.heard.append(b"".join(frame for frame in frames if frame[7] not in _LISTS))
+        run.receive(b"".join(frames), len(recording.heard) * _TICK_S)
+        if run.is_over:
+            break
+    return recording
 
-    def __init__(self, session: Session, telemetry: list[bytes]) -> None:
-        self.session = session
+
+# --- what happens
+
+
+class Run:
+    """One session, from one moment on; told to a vehicle, if there is one."""
+
+    def __init__(
+        self, session: Session, telemetry: list[bytes], vehicle: Simulation | None = None
+    ) -> None:
+        self.session, self._vehicle = session, vehicle
+        self.is_over = False
         self._telemetry = iter(telemetry)
         self._at_s = 1000.0
         self._asked: PlanRequest | None = None
-        self._questions: list[Any] = []
+        self._questions = deque[Any](maxlen=20)
         """What the companion has asked the vehicle for lately."""
         self._lists: dict[int, list[dict[str, float]]] = {}
         """What the autopilot holds from now on: mission, fence and rally points."""
@@ -222,11 +237,8 @@ class Run:
         match reader.byte() % 12:
             case 0:
                 self.receive(reader.bytes(reader.byte()))
-            case 1:
-                for _ in range(1 + reader.byte() % 10):
-                    self.tick()
-            case 2:
-                for _ in range(1 + reader.byte() % 80):
+            case 1 | 2 as long:
+                for _ in range(1 + reader.byte() % (10, 80)[long - 1]):
                     self.tick()
             case 3:
                 number = MESSAGES[(reader.byte() << 8 | reader.byte()) % len(MESSAGES)]
@@ -234,18 +246,18 @@ class Run:
             case 4:
                 numbers = ORDERS if reader.byte() % 4 else COMMANDS
                 self.receive(command(reader, numbers, _STATION, (1, 195)))
-            case 8:
-                self._lists[reader.byte() % 3] = _list(reader)
             case 5:
                 self.other(reader)
             case 6:
                 self.receive(_heartbeat(reader))
             case 7:
                 for _ in range(1 + reader.byte() % 60):
-                    asked, self._questions = self._questions, []
+                    asked, self._questions = list(self._questions), deque[Any](maxlen=20)
                     for question in asked[:4]:
                         self.receive(_answer(question, self._lists, reader))
                     self.tick()
+            case 8:
+                self._lists[reader.byte() % 3] = _list(reader)
             case _:
                 self.receive(self.frame(HANDLED[reader.byte() % len(HANDLED)], reader))
 
@@ -257,11 +269,9 @@ class Run:
                 self._silent_s += VALUES[reader.byte() % 11] % 40.0
                 session.silence(self._silent_s)
             case 1 if self._asked is not None:
-                self.deliver(
-                    NotPlanned(
-                        plan_id=self._asked.plan_id, refusal=list(Refusal)[reader.byte() % 8]
-                    )
-                )
+                refusal = list(Refusal)[reader.byte() % 8]
+                session.deliver(NotPlanned(plan_id=self._asked.plan_id, refusal=refusal))
+                self._asked = None
             case 2:
                 session.part_died(("planner", "reader")[reader.byte() % 2], "it was fuzzed")
             case 3:
@@ -281,41 +291,42 @@ class Run:
         self._at_s += _TICK_S
         if heard is not None:
             self.receive(heard)
-        lists = [each for each in self._questions if each.get_type() in _OF_LISTS]
-        self._questions = [each for each in self._questions if each not in lists]
-        for question in lists:
+        of_lists = [each for each in self._questions if each.get_type() in _OF_LISTS]
+        for question in of_lists:
+            self._questions.remove(question)
             self.receive(_answer(question, self._lists, Reader(b"")))
         if self._asked is not None:
-            self.deliver(straight_plan(self._asked))
+            self._plan()
+            self.run()
 
-    def deliver(self, outcome: PlanOutcome) -> None:
-        self._asked = None
-        self.session.deliver(outcome)
-        self.run()
-
-    def receive(self, data: bytes) -> None:
-        if self.session.receive(data, self._at_s):
+    def receive(self, data: bytes, at_s: float | None = None) -> None:
+        if self.session.receive(data, self._at_s if at_s is None else at_s):
             self._silent_s = 0.0
         self.run()
 
     def run(self) -> None:
-        out = self.session.run()
-        for _ in range(3):
-            self._asked = out.plan or self._asked
-            sent = _check(out)
-            self._questions += [each for each in sent if each.get_type() in _QUESTIONS]
-            del self._questions[:-_MOST_QUESTIONS]
-            if not out.awaits_plan or self._asked is None:
-                break
-            self.session.deliver(straight_plan(self._asked))
-            self._asked = None
+        for _ in range(4):
             out = self.session.run()
+            self._asked = out.plan or self._asked
+            self._questions += [each for each in _check(out) if each.get_type() in _ANSWERS]
+            for frame in out.frames if self._vehicle is not None else ():
+                self._vehicle.receive(0, frame)
+            self.is_over = out.end is not None and out.settled
+            waits = out.awaits_plan or self._vehicle is not None
+            if not waits or self._asked is None:
+                break
+            self._plan()
+
+    def _plan(self) -> None:
+        asked, self._asked = self._asked, None
+        assert asked is not None
+        self.session.deliver(straight_plan(asked))
 
     def frame(self, number: int, reader: Reader) -> bytes:
         """Of anybody, with any payload; often at this time, and with numbers that nobody sends."""
         kind: Any = mavlink.mavlink_map[number]
-        payload = reader.bytes(reader.byte() % (kind.unpacker.size + 1))
-        how = reader.byte()
+        size = kind.unpacker.size
+        payload, how = reader.bytes(reader.byte() % (size + 1)).ljust(size, b"\0"), reader.byte()
         values: dict[str, float] = {}
         if how & 1:
             names = zip(kind.fieldnames, kind.fieldtypes, strict=True)
@@ -323,13 +334,8 @@ class Run:
         if how & 2:
             now_ms = max(round(self.session.now_s * 1e3), 0)
             values["time_boot_ms"] = (now_ms + reader.byte()) % 2**32
-        return intact(
-            number,
-            payload.ljust(kind.unpacker.size, b"\0"),
-            SENDERS[reader.byte() % len(SENDERS)],
-            target=(1, 195) if how & 12 else None,
-            values=values,
-        )
+        sender, target = SENDERS[reader.byte() % len(SENDERS)], (1, 195) if how & 12 else None
+        return intact(number, payload, sender, target=target, values=values)
 
     def end(self) -> None:
         for _ in range(5):
@@ -339,9 +345,6 @@ class Run:
         _check(self.session.farewell())
 
 
-# --- what goes out --------------------------------------------------------------------------------
-
-
 def _check(out: Output) -> list[Any]:
     """What is sent: whole frames with numbers in them, and a journal that can be read again."""
     receiver, sent = Receiver(), []
@@ -349,9 +352,10 @@ def _check(out: Output) -> list[Any]:
         [message] = receiver.feed(frame)
         sent.append(message)
         assert (message.get_srcSystem(), message.get_srcComponent()) == (1, 195)
-        for value in _numbers(message):
-            assert not math.isinf(value), message
-            assert message.get_type() not in _FINITE or math.isfinite(value), message
+        for value in (getattr(message, name) for name in message.fieldnames):
+            assert not isinstance(value, float) or not math.isinf(value), message
+            if message.get_type() in _FINITE and isinstance(value, float):
+                assert math.isfinite(value), message
         if message.get_type() == "SET_POSITION_TARGET_GLOBAL_INT":
             assert (message.lat_int, message.lon_int) != (0, 0)
             assert math.hypot(message.vx, message.vy, message.vz) <= 1000.0
@@ -365,23 +369,16 @@ def _check(out: Output) -> list[Any]:
     return sent
 
 
-def _numbers(message: Any) -> list[float]:
-    values = [getattr(message, name) for name in message.fieldnames]
-    return [value for value in values if isinstance(value, float)]
-
-
-# --- what comes in --------------------------------------------------------------------------------
+# --- what comes in
 
 
 def _heartbeat(reader: Reader) -> bytes:
     """The autopilot's, in any mode."""
     mode, how = MODES[reader.byte() % len(MODES)], reader.byte()
     kind, autopilot = ((2, 3), (1, 3), (2, 12), (1, 12))[how % 4]
-    message = mavlink.MAVLink_heartbeat_message(
-        kind, autopilot, 1 | (128 if how & 4 else 0), mode, reader.byte() % 9, 3
-    )
-    frame: bytes = message.pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=1))
-    return frame
+    armed, status = 1 | (128 if how & 4 else 0), reader.byte() % 9
+    message = mavlink.MAVLink_heartbeat_message(kind, autopilot, armed, mode, status, 3)
+    return bytes(message.pack(_VEHICLE))
 
 
 def _list(reader: Reader) -> list[dict[str, float]]:
@@ -392,28 +389,23 @@ def _list(reader: Reader) -> list[dict[str, float]]:
         corners = 3 + reader.byte() % 4 if number in (5001, 5002) else 1
         size = float(corners) if corners > 1 else (20.0, 60.0, 300.0, *VALUES)[reader.byte() % 25]
         for _ in range(corners):
-            items.append(
-                {
-                    "command": number,
-                    "frame": (3, 3, 6, 0, 5, 10)[reader.byte() % 6],
-                    "param1": size,
-                    "x": round(_LATITUDE_DEG * 1e7) + (reader.byte() - 128) * 200,
-                    "y": round(_LONGITUDE_DEG * 1e7) + (reader.byte() - 128) * 300,
-                    "z": (0.0, 20.0, *VALUES)[reader.byte() % 24],
-                }
-            )
+            frame, up_m = (3, 3, 6, 0, 5, 10)[reader.byte() % 6], (0.0, 20.0, *VALUES)
+            x, y = (round(deg * 1e7) + (reader.byte() - 128) * 250 for deg in PLACE.values())
+            item = {"command": number, "frame": frame, "param1": size, "x": x, "y": y}
+            items.append(item | {"z": up_m[reader.byte() % 24]})
     return items
 
 
 def _answer(question: Any, lists: dict[int, list[dict[str, float]]], reader: Reader) -> bytes:
     """What the autopilot or the radar answers, with numbers that nobody should send in it."""
-    number = _QUESTIONS[question.get_type()]
+    kind_asked = question.get_type()
+    number = _ANSWERS[kind_asked]
     kind: Any = mavlink.mavlink_map[number]
     asked = {name: getattr(question, name) for name in question.fieldnames}
     values = {name: asked[name] for name in kind.fieldnames if name in asked}
     size = kind.unpacker.size
-    payload = bytes(size)
-    match question.get_type():
+    payload, sender = b"", (1, 1)
+    match kind_asked:
         case "MISSION_REQUEST_LIST":
             values["count"] = len(lists.get(question.mission_type, ()))
         case "MISSION_REQUEST_INT":
@@ -424,57 +416,8 @@ def _answer(question: Any, lists: dict[int, list[dict[str, float]]], reader: Rea
             payload = bytes(8) + name + bytes([(9, 6, 4, 2, 9, 9)[reader.byte() % 6]])
             values = {"param_value": (0.0, *VALUES)[reader.byte() % 23]}
         case "TERRAIN_REQUEST":
-            heights = bytes(reader.byte() for _ in range(8))
-            payload = bytes(10) + heights * 4 + bytes(1)
-            values |= {"gridbit": reader.byte() % 56}
+            payload = bytes(10) + bytes(reader.byte() for _ in range(8)) * 4 + bytes(1)
+            values, sender = values | {"gridbit": reader.byte() % 56}, (1, 100)
         case _:
             values |= {"command": question.command, "result": reader.byte() % 10}
-    sender = (1, 100) if question.get_type() == "TERRAIN_REQUEST" else (1, 1)
     return intact(number, payload.ljust(size, b"\0"), sender, target=(1, 195), values=values)
-
-
-# --- the flights ----------------------------------------------------------------------------------
-
-
-def _flown(autopilot: str, kind: str, lockstep: bool) -> Recording:
-    """Fly the mission with the simulator as the other end."""
-    world = flat_world(
-        kind,  # type: ignore[arg-type]
-        autopilot,  # type: ignore[arg-type]
-        latitude_deg=_LATITUDE_DEG,
-        longitude_deg=_LONGITUDE_DEG,
-        altitude_amsl_m=_GROUND_AMSL_M,
-        heading_deg=0.0,
-        scan_range_m=1_000.0,
-    )
-    vehicle = Simulation(world)
-    session = Session(mission(autopilot, kind), seed=1, lockstep=lockstep, go=True)
-    recording = Recording([], [])
-    asked: PlanRequest | None = None
-    at_s = 0.0
-    while at_s < _LONGEST_S:
-        for _ in range(_TICK_STEPS):
-            vehicle.step()
-        if lockstep:
-            vehicle.ask_for_sync()
-        frames = [frame for _, frame in vehicle.take_frames()]
-        phase = session.state.phase.value
-        if len(recording.heard) % _MOMENT_TICKS == 0 or phase != recording.moments[-1][1]:
-            recording.moments.append((len(recording.heard), phase, saved(session)))
-        recording.heard.append(b"".join(frame for frame in frames if frame[7] not in _LISTS))
-        session.receive(b"".join(frames), at_s)
-        out = session.run()
-        while True:
-            _check(out)
-            for frame in out.frames:
-                vehicle.receive(0, frame)
-            asked = out.plan or asked
-            if asked is None:
-                break
-            session.deliver(straight_plan(asked))
-            asked = None
-            out = session.run()
-        at_s += _TICK_S
-        if out.end is not None and out.settled:
-            break
-    return recording

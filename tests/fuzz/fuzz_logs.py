@@ -1,17 +1,15 @@
 """Damaged logs: any exception but a one-line InputError, time that falls, and hangs are findings.
 
-python tests/fuzz/fuzz_logs.py [COUNT] [--seed N]    (10,000, 0)
+python tests/fuzz/fuzz_logs.py [COUNT [SEED]]    (10,000, 0)
 
 Without coverage guidance: every case is a recorded log with one to six kinds of damage, drawn from
 the seed, so a finding can be repeated by its number.
 """
 
-import argparse
 import random
 import sys
 import tempfile
 import time
-import traceback
 from collections import Counter
 from pathlib import Path
 
@@ -84,30 +82,20 @@ def case(number: int, seed: int, logs: dict[str, bytes], folder: Path) -> tuple[
     return path, read(path)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("count", nargs="?", type=int, default=10_000)
-    parser.add_argument("--seed", type=int, default=0)
-    wanted = parser.parse_args()
-    logs, outcomes, findings = bases(), Counter[str](), 0
-    began_s = time.monotonic()
+def main() -> None:
+    """Any that is as none may be ends it, and says which it was."""
+    count, seed = (*map(int, sys.argv[1:]), *(10_000, 0)[len(sys.argv) - 1 :])
+    logs, outcomes = bases(), Counter[str]()
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        for number in range(wanted.count):
+        for number in range(count):
             try:
-                outcomes[case(number, wanted.seed, logs, folder)[1]] += 1
-            except Exception as error:  # noqa: BLE001 - whatever it is, it is the finding
-                findings += 1
-                print(f"finding in case {number} of seed {wanted.seed}: {error!r}", flush=True)
-                traceback.print_exc()
+                outcomes[case(number, seed, logs, Path(name))[1]] += 1
+            except Exception as error:
+                error.add_note(f"case {number} of seed {seed}")
+                raise
             if (number + 1) % _SAY_EVERY == 0:
-                took_s = time.monotonic() - began_s
-                print(f"{number + 1} logs in {took_s:.0f} s: {findings} findings", flush=True)
-    for outcome, count in sorted(outcomes.items()):
-        print(f"{count:6} {outcome}")
-    print(f"{wanted.count} damaged logs: {findings} crashes or hangs")
-    return 1 if findings else 0
+                print(f"{number + 1} logs: {dict(outcomes)}, no finding", flush=True)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -30,11 +30,6 @@ FORMATS = {
         "QBBIHBcLLeffffB",
         "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ,Yaw,U",
     ),
-    "GPA": (
-        72,
-        "QBCCCCfBIHfHH",
-        "TimeUS,I,VDop,HAcc,VAcc,SAcc,YAcc,VV,SMS,Delta,AEl,RTCMFU,RTCMFD",
-    ),
     "ATT": (73, "QccccCCCCB", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,ErrRP,ErrYaw,AEKF"),
     "XKF1": (74, "QBccCfffffffccce", "TimeUS,C,Roll,Pitch,Yaw,VN,VE,VD,dPD,PN,PE,PD,GX,GY,GZ,OH"),
     "XKF4": (75, "QBcccccfffHBIHb", "TimeUS,C,SV,SP,SH,SM,SVT,errRP,OFN,OFE,FS,TS,SS,GPS,PI"),
@@ -43,7 +38,6 @@ FORMATS = {
     "STAT": (78, "QBfBBBBBB", "TimeUS,isFlying,isFlyProb,Armed,Safety,Crash,Still,Stage,Hit"),
     "RCIN": (79, "QHHHH", "TimeUS,C1,C2,C3,C4"),
     "DSF": (81, "QIHIIII", "TimeUS,Dp,Blk,Bytes,FMn,FMx,FAv"),
-    "FILL": (80, "QZZZ", "TimeUS,A,B,C"),
 }
 
 
@@ -56,11 +50,6 @@ def entry(name: str, *values: float | bytes) -> bytes:
         for letter, value in zip(letters, values, strict=True)
     ]
     return struct.pack("<BBB", 0xA3, 0x95, number) + struct.pack(form, *scaled)
-
-
-def fill(boot_us: int) -> bytes:
-    """A long entry that nobody reads."""
-    return entry("FILL", boot_us, b"", b"", b"")
 
 
 def fmt_entries() -> bytes:
@@ -194,7 +183,6 @@ class _BinWriter:
             week, rest_s = int(gps_s // 604_800), gps_s % 604_800
         place = (m.lat, m.lon, m.alt * 1e-3)
         speed = (m.vel * 0.01, m.cog * 0.01, 0, 0)
-        self._add("GPA", 0, 1.2, m.h_acc * 1e-3, 1, 0.3, 0, 0, 0, 0, m.alt_ellipsoid * 1e-3, 0, 0)
         told = (m.fix_type, round(rest_s * 1e3), week, m.satellites_visible)
         self._add("GPS", 0, *told, min(m.eph * 0.01, 99), *place, *speed, 1)
         self._add("GPS", 1, 0, 0, 0, 0, 99, 0, 0, 0, *([0] * 4), 0)  # a second receiver

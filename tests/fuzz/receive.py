@@ -17,11 +17,11 @@ from vehicle_sim.simulation import Simulation
 from vehicle_sim.wire.missions import store
 from vehicle_sim.world import flat_world
 
-PERSONALITIES = (
-    ("ardupilot", "copter"),
-    ("ardupilot", "plane"),
-    ("px4", "copter"),
-    ("px4", "plane"),
+PERSONALITIES: Any = (
+    ("copter", "ardupilot"),
+    ("plane", "ardupilot"),
+    ("copter", "px4"),
+    ("plane", "px4"),
 )
 HANDLED = message_numbers(
     """
@@ -62,15 +62,8 @@ class Target:
         if self._inputs % _FRESH_AFTER == 0:
             self._vehicles.clear()
         if which not in self._vehicles:
-            autopilot, kind = PERSONALITIES[which]
-            world = flat_world(
-                kind,  # type: ignore[arg-type]
-                autopilot,  # type: ignore[arg-type]
-                latitude_deg=47.4,
-                longitude_deg=8.5,
-                altitude_amsl_m=488.0,
-                heading_deg=0.0,
-            )
+            place = {"latitude_deg": 47.4, "longitude_deg": 8.5, "altitude_amsl_m": 488.0}
+            world = flat_world(*PERSONALITIES[which], **place, heading_deg=0.0)
             vehicle = Simulation(world, links=LINKS, byte_streams={1})
             for _ in range(4500):
                 vehicle.step()

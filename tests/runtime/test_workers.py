@@ -217,7 +217,7 @@ def test_a_slow_start_is_no_death_nor_is_a_slow_lockstep_or_a_terminal_that_bloc
 
 
 def test_what_is_not_recorded_is_told_once(folder: RunFolder, tmp_path: Path) -> None:
-    """That the flight goes on without: below, and on a full disk `closed_loop/test_shown`."""
+    """That the flight goes on without: below, and on a full disk `closed_loop/test_flight`."""
     told = list[Failure]()
     writes = recorder.Recorder(folder, time.monotonic, told.append)
     moved = folder.path.rename(tmp_path / "moved")
