@@ -69,6 +69,7 @@ def record(folder: Path, it: Pair, text: str, **header: Any) -> None:
     facts = {"mission": "environment-1", "seed": 1, "profile": "flight", "lockstep": True}
     with RunFolder(folder, mission_toml=text, epoch_us=EPOCH_US) as run:
         run.header({**facts, **header})
+        run.inputs(it.inputs)
         run.frames(it.record)
         run.entries(it.journal)
         run.run_json({"companion": "0"})

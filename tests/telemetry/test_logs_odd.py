@@ -5,7 +5,6 @@ import math
 import os
 import random
 import struct
-import tracemalloc
 from collections import Counter
 from pathlib import Path
 
@@ -397,17 +396,6 @@ def test_time_never_falls_whatever_the_stamps(stamps: list[int]) -> None:
         assert not believed or stamp < YEAR_2100_US
         before_us = clock.now_us
     assert min(odd.values(), default=0) >= 0
-
-
-def test_memory_does_not_grow_with_a_tlog(tmp_path: Path) -> None:
-    record = stamped(0, frame(wire.MAVLink_file_transfer_protocol_message(0, 1, 1, [7] * 251)))
-    (tmp_path / "log").write_bytes(beats(0) + record * 40_000)  # 11 MB
-    tracemalloc.start()
-    try:
-        assert sum(1 for _ in open_log(tmp_path / "log").records()) == 40_001
-        assert tracemalloc.get_traced_memory()[1] < 7_000_000
-    finally:
-        tracemalloc.stop()
 
 
 def test_a_log_that_is_gone_by_then_says_so(tmp_path: Path) -> None:
