@@ -10,7 +10,7 @@ from scipy.ndimage import distance_transform_edt, label
 
 from companion.campaign import drawn_world, families, truth
 from companion.campaign.drawn_world import write
-from companion.config import bundled, load_mission, load_world
+from companion.config import load_mission, load_world
 from companion.world.radars import Radar
 from companion.world.terrain import Peak
 from vehicle_sim.world import read_world
@@ -87,18 +87,6 @@ def test_there_is_a_way_through_a_wall_when_its_gap_is_wide_enough(
     for radars in ((), (watched,)):
         world = replace(BASE, terrain=terrain, task=replace(BASE.task, radars=radars))
         assert drawn_world.has_way_through(world) is (open_ and not radars)
-
-
-@pytest.mark.parametrize("name", bundled())
-def test_every_bundled_world_is_judged_by_its_own_heights(name: str) -> None:
-    drawn, terrain = drawn_world.bundled(name), load_world(name).terrain
-    limits = drawn.task.limits
-    axes = (
-        np.interp([0.2, 0.5, 0.7], (0.0, 1.0), edges) for edges in (limits.north_m, limits.east_m)
-    )
-    north_m, east_m = axes
-    found = truth.height_m(drawn.terrain, north_m, east_m)
-    np.testing.assert_allclose(found, terrain.height_m(north_m, east_m), atol=3.0)
 
 
 @EACH

@@ -11,7 +11,6 @@ import pytest
 import rich
 import viser
 from pymavlink.dialects.v20 import all as wire
-from recorded import flown, mission_file, record
 
 from companion.config import load_mission
 from companion.live_view.ground import PROVEN, UNKNOWN, Ground, Replica, ground_of
@@ -19,28 +18,17 @@ from companion.live_view.page import Page
 from companion.live_view.recording import Recording
 from companion.live_view.scene import Scene
 from companion.live_view.shapes import WIDTH
-from companion.mission.mission import Mission
+from companion.replay.feed import flown_mission, outputs
 from companion.session import Session
-from companion.world.known_map import KnownMap
 
 GROWING = ("flight.tlog", "journal.jsonl", "inputs.msgpack")
 PIECES = 5
 
 
-@pytest.fixture(scope="module")
-def flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Session]:
-    """A flight with its inputs, paused once, and the session that has flown it."""
-    folder = tmp_path_factory.mktemp("recorded")
-    file = mission_file(folder)
-    it = flown(file)
-    record(folder / "run", it, file.read_text(encoding="utf-8"))
-    return folder / "run", it.session
-
-
 @pytest.fixture
-def recording(flight: tuple[Path, Session]) -> Recording:
+def recording(run_dir: Path) -> Recording:
     """What was recorded, all of it."""
-    return Recording(flight[0])
+    return Recording(run_dir)
 
 
 @pytest.fixture(scope="module")
@@ -91,21 +79,15 @@ def test_a_flight_that_grows_is_read_like_one_that_is_over(
         assert (ground and ground.height_m.tobytes()) == (same and same.height_m.tobytes())
 
 
-def drawn(known: KnownMap, mission: Mission) -> Ground:
-    return ground_of(known, (0.0, 0.0), mission)
-
-
-def test_the_ground_is_what_the_flight_knew(
-    flight: tuple[Path, Session], recording: Recording
-) -> None:
+def test_the_ground_is_what_the_flight_knew(run_dir: Path, recording: Recording) -> None:
     """Drawn by blocks of 2 x 2 cells, by the least sure of them."""
-    run_dir, session = flight
+    *_, (_, session, _) = outputs(run_dir, flown_mission(run_dir))
     replica = advanced(Replica(run_dir))
     first, last = (ground_at(replica, recording, at_s) for at_s in (0.0, math.inf))
     assert (first.kind == UNKNOWN).all()
     known = session.state.flight.known
     aside = replace(known, upper_m=np.roll(known.upper_m, 1, 0), seen=np.roll(known.seen, 1, 0))
-    less = drawn(aside, session.mission)
+    less = ground_of(aside, (0.0, 0.0), session.mission)
     for each, ground in ((known, last), (aside, less)):
         rows, columns = ground.kind.shape
         proven = each.surveyed.reshape(rows, 2, columns, 2).all((1, 3))
@@ -123,7 +105,7 @@ def test_trees_hide_no_vehicle_that_flies_between_them() -> None:
     upper_m, seen = known.upper_m.copy(), known.seen.copy()
     upper_m[:, :80], seen[:, :100] = 400.5, True
     upper_m[:, 80:100] = 430.0
-    ground = drawn(replace(known, upper_m=upper_m, seen=seen), mission)
+    ground = ground_of(replace(known, upper_m=upper_m, seen=seen), (0.0, 0.0), mission)
     drawn_m = ground.height_m[ground.kind == PROVEN]
     assert set(np.unique(drawn_m)) == {400.5, mission.task.limits.ceiling_amsl_m}
     assert (ground.kind == UNKNOWN).sum() + len(drawn_m) == ground.kind.size

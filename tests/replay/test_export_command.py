@@ -8,7 +8,6 @@ from typing import get_args
 
 import pytest
 from answers import answered
-from recorded import run_folder
 
 from companion.replay.command import Format
 from companion.replay.exporting import recorded, write
@@ -16,17 +15,6 @@ from companion.replay.exporting import recorded, write
 FORMATS = get_args(Format)
 COMMANDS = [("report",), *(("export", "--format", to) for to in FORMATS)]
 EACH = pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command[-1])
-
-
-@pytest.fixture(scope="module")
-def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return run_folder(tmp_path_factory.mktemp("recorded"))
-
-
-@pytest.fixture
-def copy(run_dir: Path, tmp_path: Path) -> Path:
-    """The same run folder, to be spoiled."""
-    return Path(shutil.copytree(run_dir, tmp_path / "run"))
 
 
 @pytest.fixture(autouse=True)

