@@ -175,14 +175,6 @@ def test_the_first_run_of_a_bundled_campaign_flies(name: str, tmp_path: Path) ->
     assert row.keys() <= COLUMNS.keys()
 
 
-def test_a_run_that_raises_is_a_row(tmp_path: Path) -> None:
-    [run, *_] = runs(tmp_path, FLOWN.replace("[factors]", '[factors]\nvehicle = ["px4-plane"]'))
-    row = fly_run(run, tmp_path)
-    assert row["outcome"] == "error"
-    assert row["error"]
-    assert "\n" not in row["error"]
-
-
 @pytest.mark.usefixtures("here")
 @pytest.mark.parametrize("place", ["run._flown", "store.Store._write"])
 def test_a_full_disk_is_one_line_and_no_result(

@@ -30,19 +30,6 @@ def test_a_world_follows_from_family_seed_and_index_alone(family: str) -> None:
     assert len({first, last, *others}) == 4
 
 
-def test_worlds_that_grow_hold_each_other_and_are_as_dense() -> None:
-    small, large = (families.world(families.SPREAD, 3, count) for count in (10, 100))
-    for few, many, share in (
-        (small.terrain.peaks, large.terrain.peaks, 0.6),
-        (small.task.radars, large.task.radars, 0.4),
-    ):
-        assert (len(few), len(many)) == (round(10 * share), round(100 * share))
-        assert many[: len(few)] == few
-    away_m = [max(abs(peak.north_m), abs(peak.east_m)) for peak in large.terrain.peaks]
-    edges_m = [500.0 * math.sqrt(count / 0.004) for count in (10, 100)]
-    assert max(away_m[:6]) <= edges_m[0] <= min(away_m[6:]) <= max(away_m) <= edges_m[1]
-
-
 @EACH
 def test_every_world_has_a_way_by_an_independent_search(family: str) -> None:
     world = families.world(family, 5, 0)

@@ -12,14 +12,12 @@ import rich
 import viser
 from pymavlink.dialects.v20 import all as wire
 
-from companion.config import load_mission
 from companion.live_view.ground import PROVEN, UNKNOWN, Ground, Replica, ground_of
 from companion.live_view.page import Page
 from companion.live_view.recording import Recording
 from companion.live_view.scene import Scene
 from companion.live_view.shapes import WIDTH
 from companion.replay.feed import flown_mission, outputs
-from companion.session import Session
 
 GROWING = ("flight.tlog", "journal.jsonl", "inputs.msgpack")
 PIECES = 5
@@ -96,19 +94,6 @@ def test_the_ground_is_what_the_flight_knew(run_dir: Path, recording: Recording)
         highest_m = each.upper_m.reshape(rows, 2, columns, 2).max((1, 3))
         assert ground.height_m[proven] == pytest.approx(highest_m[proven])
     assert (less.kind == PROVEN).sum() < (last.kind == PROVEN).sum()
-
-
-def test_trees_hide_no_vehicle_that_flies_between_them() -> None:
-    """A flat beam does not see how high they are: so high as paths may be is all that matters."""
-    mission = load_mission("forest")
-    known = Session(mission, seed=1, lockstep=True).state.flight.known
-    upper_m, seen = known.upper_m.copy(), known.seen.copy()
-    upper_m[:, :80], seen[:, :100] = 400.5, True
-    upper_m[:, 80:100] = 430.0
-    ground = ground_of(replace(known, upper_m=upper_m, seen=seen), (0.0, 0.0), mission)
-    drawn_m = ground.height_m[ground.kind == PROVEN]
-    assert set(np.unique(drawn_m)) == {400.5, mission.task.limits.ceiling_amsl_m}
-    assert (ground.kind == UNKNOWN).sum() + len(drawn_m) == ground.kind.size
 
 
 def test_the_scene_and_the_panel_follow_the_time(

@@ -124,11 +124,6 @@ def forgotten() -> Records:
 
 
 NOTED: dict[str, tuple[Callable[[], Records], str]] = {
-    "cut off in a hold": (
-        lambda: recorded(PX4, 0.0, 90.0),
-        "NO_FIX 76.4-; GPS fix lost 76.4-; the autopilot's own failsafe 81.8-; estimator not to "
-        "be believed 81.8-",
-    ),
     "2 s are a pause": (
         lambda: paused(92.0),
         "POSITION_STALE 32.0-34.1; no position 32.0-32.1",
@@ -157,14 +152,6 @@ NOTED: dict[str, tuple[Callable[[], Records], str]] = {
         "123.6-138.1; GPS fix lost 163.5-188.5; the autopilot's own failsafe 171.2-190.1; tell "
         "whether the position is to be believed: EKF_STATUS_REPORT missing: taken to be good "
         "from 13 s on",
-    ),
-    # the fix was lost at 163.5 s
-    "no word of the GPS": (
-        lambda: without(recorded(ARDUPILOT, 0.0, 195.0), GPS),
-        "ESTIMATOR 114.7-150.6, 171.7-190.9; estimator not to be believed 113.6-148.6, "
-        "170.6-188.6; position jumped 123.1 50 m, 138.1 51 m, 188.5 19 m; the autopilot's own "
-        "failsafe 171.2-190.1; tell whether the position is to be believed: GPS_RAW_INT missing: "
-        "taken to be good from 13 s on",
     ),
     "few positions": (
         seldom_placed,

@@ -18,8 +18,9 @@ from companion.world.known_map import packed_map
 
 MISSION = load_mission("sitl-arducopter")
 BLANK = checkpoint.blank_map(MISSION)
-SEEN_M = 512.0
-"""The height of all ground that the flight has come to know."""
+HEIGHTS_M = np.linspace(400.0, 512.25, BLANK.upper_m.size).reshape(BLANK.upper_m.shape)
+SEEN = replace(BLANK, upper_m=HEIGHTS_M, registration_m=1.5)
+"""What the flight has come to know of the ground."""
 
 
 def in_flight(**changes: Any) -> checkpoint.Values:
@@ -40,7 +41,7 @@ def folder(tmp_path: Path) -> Path:
         made.entries([{"t_s": 9.0, "kind": "arm"}])
         made.entries([{"t_s": 12.0, "kind": "phase", "phase": "flying", "was": "arming"}])
         made.entries([{"t_s": 320.0, "kind": "plan asked", "plan_id": 7}])
-        made.known_map(replace(BLANK, upper_m=np.full_like(BLANK.upper_m, SEEN_M)))
+        made.known_map(SEEN)
         made.checkpoint(in_flight())
     return made.path
 
@@ -56,8 +57,9 @@ def test_what_can_be_read_is_gone_on_with(folder: Path) -> None:
     recalled, state = resumed(folder)
     assert (recalled.said, state.stage.news) == ((), "")
     assert (state.flight.target, state.paused, state.airborne) == (1, True, True)
-    assert (state.flight.known.upper_m == SEEN_M).all()
     assert state.flight.known.surveyed.all()
+    for name in ("upper_m", "cell_m", "north_min_m", "east_min_m", "registration_m"):
+        assert np.array_equal(getattr(state.flight.known, name), getattr(SEEN, name))
 
 
 GONE, CUT = object(), object()

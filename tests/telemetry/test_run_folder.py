@@ -4,19 +4,16 @@ import json
 import math
 import resource
 from collections.abc import Iterator
-from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as wire
 from tlog import read_by_pymavlink
 
 from companion.errors import InputError
 from companion.mission.journal import VERSION
-from companion.telemetry.run_folder import RunFolder, known_map, resume_head, whole_records
-from companion.world.known_map import KnownMap, empty_map
+from companion.telemetry.run_folder import RunFolder, resume_head, whole_records
 
 EPOCH_US = 1_700_000_000_000_000  # 2023-11-14 22:13:20 UTC
 CODEC = wire.MAVLink(None, srcSystem=1, srcComponent=1)
@@ -71,20 +68,6 @@ def test_what_is_recorded_is_there_at_once_as_other_programs_read_it(folder: Run
     folder.run_json({"plans_s": [0.5]})
     assert json.loads((folder.path / "run.json").read_text("utf-8")) == {"plans_s": [0.5]}
     assert (folder.path / "mission.toml").read_text("utf-8") == "é"
-
-
-def test_a_checkpoint_and_the_known_map_come_back_as_they_were(folder: RunFolder) -> None:
-    blank = empty_map(25.0, (-100.0, 150.0), (-50.0, 50.0))
-    known = replace(blank, upper_m=blank.upper_m.copy(), registration_m=1.5)
-    known.upper_m[1, 2] = 512.25
-    values = {"phase": "FLYING", "leg": [[1.5, -2.25, 3000.0]], "none": None, "back": []}
-    folder.known_map(known)
-    folder.checkpoint({"phase": "earlier"})
-    folder.checkpoint(values)
-    assert resume_head(folder.path).values == values
-    for each in fields(KnownMap):
-        found = getattr(known_map(folder.path), each.name)
-        np.testing.assert_array_equal(found, getattr(known, each.name))
 
 
 def test_a_folder_of_another_flight_is_refused_and_left_as_it_is(tmp_path: Path) -> None:

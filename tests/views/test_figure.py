@@ -108,12 +108,17 @@ def test_the_plan_shows_the_path_in_kilometres_and_radars_as_wide_as_within_the_
 
 
 def test_the_profile_shows_the_terrain_under_the_path_and_both_paths_over_it() -> None:
-    """The flown track at the nearest place of the path, or as its own."""
+    """The flown track at the nearest place of the path, or as its own; unknown ground as such."""
     higher = replace(a_flight(), track_nea_m=np.add(PATH, (0.0, 0.0, 7.0)))
-    profile = axes_of(higher)["profile"]
+    higher.known.upper_m[:60, :60] = math.inf
+    axes = axes_of(higher)
+    profile, unknown = axes["profile"], (PATH[:, :2] < 60 * CELL_M).all(axis=1)
+    assert "unknown ground" in labels_of(axes["plan"])
     under, over = (line_of(profile, n) for n in ("terrain under the path", "planned path"))
     middles = (np.floor(PATH[:, :2] / CELL_M) + 0.5) * CELL_M  # of the cell that holds the point
-    np.testing.assert_allclose(under[:, 1], hill(middles[:, 0], middles[:, 1]))
+    expected = np.where(unknown, np.nan, hill(middles[:, 0], middles[:, 1]))
+    np.testing.assert_allclose(under[:, 1], expected)
+    assert any(each.get_hatch() for each in profile.collections)  # along the corner
     np.testing.assert_allclose(over[:, 1], PATH[:, 2])
     first_m, second_m = math.hypot(2000.0, 1500.0), math.hypot(1000.0, 2300.0)
     assert over[-1, 0] == pytest.approx(first_m + second_m)
@@ -122,15 +127,3 @@ def test_the_profile_shows_the_terrain_under_the_path_and_both_paths_over_it() -
     alone = axes_of(replace(a_flight(), legs_nea_m=(), track_nea_m=PATH))
     assert "planned path" not in labels_of(alone["plan"])
     np.testing.assert_allclose(line_of(alone["profile"], "flown track")[:, 1], PATH[:, 2])
-
-
-def test_unknown_ground_is_shown_as_unknown() -> None:
-    flight = a_flight()
-    flight.known.upper_m[:60, :60] = math.inf
-    axes = axes_of(flight)
-    assert "unknown ground" in labels_of(axes["plan"])
-    under = line_of(axes["profile"], "terrain under the path")
-    in_corner = (PATH[:, :2] < 60 * CELL_M).all(axis=1)
-    np.testing.assert_array_equal(np.isnan(under[:, 1]), in_corner)
-    (hatched,) = (each for each in axes["profile"].collections if each.get_hatch())
-    assert [len(each.vertices) > 0 for each in hatched.get_paths()] == [True]  # along the corner

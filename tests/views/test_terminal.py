@@ -175,12 +175,6 @@ class Terminal:
         self.progress.show(flight_status(self.flown))
         return self.console.export_text().splitlines()
 
-    def warn(self, text: str) -> str:
-        """The table after a warning."""
-        if text:
-            self.flown.session._send_text(text, warning=True)
-        return printed(status_table(flight_status(self.flown)))
-
 
 def test_each_change_is_a_line_that_says_why_it_holds_while_it_holds() -> None:
     """The autopilot's failsafe and its end, another reason, and no reason once it flies."""
@@ -206,20 +200,6 @@ def test_each_change_is_a_line_that_says_why_it_holds_while_it_holds() -> None:
         assert words is None or words in lines[-1]
         if words == "flying":
             assert not any(old in lines[-1] for old in ("failsafe", "hold", "("))
-
-
-def test_a_warning_stands_for_a_minute_and_a_reason_to_hold_once() -> None:
-    terminal = Terminal()
-    terminal.show(100.0, **FLIES)
-    terminal.warn("scan: 3 of 9 blocks answered")
-    [line] = terminal.show(100.2)
-    assert line.endswith("(scan: 3 of 9 blocks answered)")
-    for later_s, stands in ((159.0, True), (161.0, False)):
-        terminal.show(later_s)
-        assert ("scan:" in terminal.warn("")) is stands
-    terminal.warn(f"hold: {Reason.NO_FIX.text}")
-    terminal.show(200.0, phase=Phase.HOLDING, reason=Reason.NO_FIX)
-    assert terminal.warn("").count(Reason.NO_FIX.text) == 1
 
 
 @pytest.fixture(scope="module")

@@ -82,12 +82,6 @@ def begun(name: str, time_s: float) -> noted.Phase:
 
 
 TRACKS = {
-    "each phase begins at the position of its time": (
-        (1.0, 2.0, 3.0, 4.0),
-        [begun("preparing", 0.5), begun("flying", 3.0)],
-        "1.0 preparing, 2.0 preparing, 3.0 flying, 4.0 flying",
-        "",
-    ),
     "after a reboot times count from the new boot": (
         (99.0, 100.0, 101.0, 0.5, 0.6),
         [
@@ -135,20 +129,6 @@ def test_phases_and_moments_are_those_of_their_times_and_boots(what: str) -> Non
     assert ", ".join(f"{kind} at {t_s:.1f}" for kind, t_s in at) == moments
     parts = [(name, part.start, part.stop) for name, part in found.segments()]
     assert sum(stop - start for _, start, stop in parts) == len(found.track)
-
-
-def test_the_newest_targets_count_and_the_fence_is_there_once() -> None:
-    circle = {"name": "a", "north_m": 1.0, "east_m": 2.0, "radius_m": 3.0, "keep_in": True}
-    fence = {"kind": "fence", "t_s": 1.0, "floor_amsl_m": None, "ceiling_amsl_m": None}
-    order = {"t_s": 3.0, "kind": "order", "sender": "255/190", "speed_m_s": None}
-    fences = [noted.entry_of({**fence, "zones": [circle] * count}) for count in (2, 1)]
-    targets = events.TargetsChanged(time_s=1.0, targets_ne_m=((5.0, 6.0), (7.0, 8.0)))
-    found = flight(1.0, entries=[*fences, targets])
-    assert found.decided.targets_ne_m == ((5.0, 6.0), (7.0, 8.0))
-    assert len(found.zones_of(found.decided)) == 1
-    there = noted.entry_of({**order, "order": "REPOSITION", "target_ne_m": [9.0, 10.0]})
-    pause = noted.entry_of({**order, "order": "PAUSE", "target_ne_m": None})
-    assert flight(1.0, entries=[there, pause]).decided.targets_ne_m == ((9.0, 10.0),)
 
 
 def test_legs_of_the_way_back_are_not_those_of_a_plan() -> None:
