@@ -63,9 +63,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     target = tmp_path_factory.mktemp("installed")
     about = target / "a_strangers_search-1.0.dist-info"
     about.mkdir()
-    (about / "METADATA").write_text(
-        "Metadata-Version: 2.1\nName: a-strangers-search\nVersion: 1.0\n"
-    )
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: a-strangers-search\nVersion: 1\n")
     (about / "entry_points.txt").write_text(POINTS)
     (target / "strangers_search.py").write_text(CODE)
     known = set(OPTIMISERS), set(PLANNERS)
@@ -81,8 +79,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 def mission_with(folder: Path, optimiser: str) -> str:
-    path = folder / "mission.toml"
-    text = mission_text("environment-1")
+    path, text = folder / "mission.toml", mission_text("environment-1")
     path.write_text(text.replace("overlap_m", f'optimiser = "{optimiser}"\noverlap_m', 1))
     return str(path)
 

@@ -5,11 +5,15 @@ import os
 import shutil
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parents[1] / "recordings"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "closed_loop"))
+from flights import launch
+from flights import run as program
 from golden import GOLDENS, NAMES, decisions_of, differences, expected
 from recordings import recording
 
@@ -61,7 +65,7 @@ def _record(folder: Path, how: dict[str, Any]) -> None:
             scratch = Path(name)
             for file, text in texts(folder, how).items():
                 (scratch / file).write_text(text, encoding="utf-8")
-            _fly(how, scratch)
+            (_kill if "killed_after_wall_s" in how else _fly)(how, scratch)
             shutil.copy(scratch / "run" / "mission.toml", folder / "mission.toml")
             for each, session, _ in outputs(scratch / "run", flown_mission(scratch / "run")):
                 if session.now_s > until_s:
@@ -99,6 +103,23 @@ def _fly(how: dict[str, Any], scratch: Path) -> None:
             flying._vehicle.add_fault(what)
     flying.fly_on(1e6 * how["until_s"])
     flying.close()
+
+
+def _kill(how: dict[str, Any], scratch: Path) -> None:
+    """Both programs, over UDP in real time; the companion is killed once and started again."""
+    (scratch / "faults.txt").write_text("\n".join(how["faults"]) + "\n", encoding="utf-8")
+    files = (scratch / name for name in ("run", "world.toml", "mission.toml"))
+    faults = ("--faults", scratch / "faults.txt")
+    flight = launch(*files, clock=("--speedup", "10"), simulator_options=faults)
+    try:
+        time.sleep(how["killed_after_wall_s"])
+        flight.companion.kill()
+        flight.companion = program(*flight.companion.process.args, "--resume")
+        time.sleep(how["killed_after_wall_s"])
+        flight.companion.interrupt(60.0)
+        flight.companion.wait()
+    finally:
+        flight.kill()
 
 
 if __name__ == "__main__":

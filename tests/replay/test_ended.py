@@ -105,16 +105,6 @@ def test_a_frame_that_was_not_sent_is_left_out_if_it_is_said_so(
 # --- a disk that stood still, and a companion that was killed
 
 
-def killed_while_it_wrote(folder: Path, *, until_s: float, again: bool = False) -> Path:
-    """A flight whose last frames and entries are of no input; its disk stood still at 20 s."""
-    link = Paced(Vehicle(lockstep=False))
-    fly_short(folder, link=link, lockstep=False, until_s=until_s, complains_s=20.0)
-    rewritten(folder, lambda told: told.__delitem__(slice(told.index(("stop",)), None)))
-    if again:
-        fly_short(folder, link=link, lockstep=False, until_s=until_s + 20.0, again=True)
-    return folder
-
-
 def lost(run: Path, from_s: float, until_s: float) -> Callable[[list[Input]], None]:
     """Without what the first companion was told between two vehicle times.
 
@@ -136,7 +126,11 @@ def test_what_a_recording_lacks_is_said_and_what_is_known_before_and_after_is_co
     tmp_path: Path,
 ) -> None:
     """Nothing, if the disk only stood still; older builds noted that as an input of its own."""
-    run = killed_while_it_wrote(tmp_path / "run", until_s=40.0, again=True)
+    run, link = tmp_path / "run", Paced(Vehicle(lockstep=False))
+    fly_short(run, link=link, lockstep=False, until_s=40.0, complains_s=20.0)
+    # its last frames and entries are of no input: it was killed while it wrote
+    rewritten(run, lambda told: told.__delitem__(slice(told.index(("stop",)), None)))
+    fly_short(run, link=link, lockstep=False, until_s=60.0, again=True)
     whole = replayed(run)
     assert re.fullmatch(f"{STOPPED}, and went on: nothing is missing", whole.stops[0])
     told = list(InputsFile(run / FILE))
