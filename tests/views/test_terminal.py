@@ -202,6 +202,17 @@ def test_each_change_is_a_line_that_says_why_it_holds_while_it_holds() -> None:
             assert not any(old in lines[-1] for old in ("failsafe", "hold", "("))
 
 
+def test_a_warning_stands_for_a_minute() -> None:
+    terminal = Terminal()
+    terminal.show(100.0, **FLIES)
+    terminal.flown.session._send_text("scan: 3 of 9 blocks answered", warning=True)
+    assert terminal.show(100.2)[-1].endswith("(scan: 3 of 9 blocks answered)")
+    for later_s, stands in ((159.0, True), (161.0, False)):
+        terminal.show(later_s)
+        table = printed(status_table(flight_status(terminal.flown)))
+        assert ("scan:" in table) is stands
+
+
 @pytest.fixture(scope="module")
 def statuses() -> list[FlightStatus]:
     """All kinds of things that happen, the last with the longest values."""
