@@ -92,6 +92,20 @@ def chromium() -> Path:
     pytest.skip(reason)
 
 
+@pytest.fixture(scope="session")
+def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The run folder of a short flight, paused once; only to be read."""
+    from recorded import run_folder  # what few tests need
+
+    return run_folder(tmp_path_factory.mktemp("recorded"))
+
+
+@pytest.fixture
+def copy(run_dir: Path, tmp_path: Path) -> Path:
+    """That run folder, to be spoiled."""
+    return Path(shutil.copytree(run_dir, tmp_path / "run"))
+
+
 @pytest.fixture
 def nudge(request: pytest.FixtureRequest) -> int:
     """The seed of the nudge that a test is flown under: each test has its own."""

@@ -11,15 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.campaign.statistics import Figure, groups, holm, pairs, rate
-from companion.campaign.store import Row, table
+from companion.campaign.store import table
 
 
 def of(figures: list[Figure], measure: str) -> Figure:
     return next(figure for figure in figures if figure.measure.name == measure)
-
-
-def shuffled(rows: list[Row]) -> list[Row]:
-    return random.Random(3).sample(rows, len(rows))
 
 
 @given(runs=st.integers(1, 3000), share=st.floats(0.0, 1.0))
@@ -41,8 +37,8 @@ def test_the_interval_of_a_rate_holds_the_rates_that_its_score_test_does_not_rej
 def test_a_group_has_its_rates_and_its_medians() -> None:
     values = np.random.default_rng(1).normal(10.0, size=4000)
     rows = [row(n, cost=float(v), arrived=n >= 40) for n, v in enumerate(values)]
-    figures = groups(table(shuffled(rows)), ())
-    assert figures == groups(table(rows), ())
+    figures = groups(table(rows), ())
+    assert figures == groups(table(random.Random(3).sample(rows, len(rows))), ())
     cost, arrived = of(figures, "cost"), of(figures, "arrived")
     assert (cost.group, cost.n, arrived.n, arrived.value) == ("all", 3960, 4000, 0.99)
     assert cost.value == np.median(values[40:])
@@ -52,8 +48,8 @@ def test_a_group_has_its_rates_and_its_medians() -> None:
 
 def test_pairs_are_counted_and_the_difference_is_their_median_in_per_cent() -> None:
     rows = paired_rows()
-    figures, notes = pairs(table(shuffled(rows)), ["optimiser"])
-    assert (figures, notes) == pairs(table(rows), ["optimiser"])
+    figures, notes = pairs(table(rows), ["optimiser"])
+    assert (figures, notes) == pairs(table(random.Random(3).sample(rows, len(rows))), ["optimiser"])
     cost, arrived = of(figures, "cost"), of(figures, "arrived")
     assert (cost.group, cost.against, cost.n, arrived.n) == ("l-shade", "refined-de", 37, 40)
     costs = [(a["cost"], b["cost"]) for a, b in zip(rows[::2], rows[1::2], strict=True)]
@@ -69,17 +65,18 @@ def test_pairs_are_counted_and_the_difference_is_their_median_in_per_cent() -> N
 
 def test_signed_ranks_of_few_pairs_are_those_of_all_signs() -> None:
     apart = [-3.0, -2.5, -2.0, -1.5, 0.5, -1.0, -4.0]
-    rows = []
-    for seed, difference in enumerate(apart):
-        rows.append(row(2 * seed, seed=seed, cost=20.0))
-        rows.append(row(2 * seed + 1, seed=seed, budget=6000, cost=20.0 + difference))
+    rows = [row(2 * seed, seed=seed, cost=20.0) for seed in range(len(apart))]
+    for seed, by in enumerate(apart):
+        rows.append(row(2 * seed + 1, seed=seed, budget=6000, cost=20.0 + by))
     ranks = np.argsort(np.argsort(np.abs(apart))) + 1
-    told = min(ranks[np.array(apart) > 0].sum(), ranks[np.array(apart) < 0].sum())
-    sums = [
-        min(s := sum(r for r, up in zip(ranks, ups, strict=True) if up), ranks.sum() - s)
-        for ups in itertools.product([False, True], repeat=len(apart))
-    ]
-    expected = np.mean([s <= told for s in sums])
+
+    def statistic(ups: tuple[bool, ...]) -> float:
+        up = float(ranks[list(ups)].sum())
+        return min(up, ranks.sum() - up)
+
+    told = statistic(tuple(by > 0 for by in apart))
+    every = [statistic(ups) for ups in itertools.product([False, True], repeat=len(apart))]
+    expected = np.mean([each <= told for each in every])
     assert of(pairs(table(rows), ["budget"])[0], "cost").p == pytest.approx(expected)
 
 
@@ -98,13 +95,8 @@ def test_runs_without_a_partner_and_what_differs_along_with_a_factor_are_told() 
 
 @given(st.lists(st.floats(0.0, 1.0), max_size=6))
 def test_holm_is_the_closed_test_of_all_intersections_by_bonferroni(p: list[float]) -> None:
-    expected = [
-        max(
-            min(1.0, len(some) * min(p[k] for k in some))
-            for size in range(1, len(p) + 1)
-            for some in itertools.combinations(range(len(p)), size)
-            if at in some
-        )
-        for at in range(len(p))
-    ]
+    every = range(len(p))
+    some = [each for n in every for each in itertools.combinations(every, n + 1)]
+    least = {each: min(1.0, len(each) * min(p[k] for k in each)) for each in some}
+    expected = [max(least[each] for each in some if at in each) for at in every]
     assert holm(p) == pytest.approx(expected)

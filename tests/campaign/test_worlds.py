@@ -10,56 +10,42 @@ from scipy.ndimage import distance_transform_edt, label
 
 from companion.campaign import drawn_world, families, truth
 from companion.campaign.drawn_world import write
-from companion.config import bundled, load_mission, load_world
+from companion.config import load_mission, load_world
 from companion.world.radars import Radar
 from companion.world.terrain import Peak
 from vehicle_sim.world import read_world
 
 BASE = families.world("dense", 0, 0)
+EACH = pytest.mark.parametrize("family", families.FAMILIES)
 
 
-@pytest.mark.parametrize("family", families.FAMILIES)
+@EACH
 def test_a_world_follows_from_family_seed_and_index_alone(family: str) -> None:
-    families.world.cache_clear()
-    last, first = families.world(family, 5, 1), families.world(family, 5, 0)
-    families.world.cache_clear()
-    assert families.world(family, 5, 0).fingerprint == first.fingerprint
-    assert families.world(family, 5, 1).fingerprint == last.fingerprint
-    others = {families.world(family, *pair).fingerprint for pair in ((5, 2), (6, 0))}
-    assert len(others | {first.fingerprint, last.fingerprint}) == 4
+    def fingerprints(*pairs: tuple[int, int]) -> list[str]:
+        families.world.cache_clear()
+        return [families.world(family, *pair).fingerprint for pair in pairs]
+
+    first, last, *others = fingerprints((5, 0), (5, 1), (5, 2), (6, 0))
+    assert fingerprints((5, 1), (5, 0)) == [last, first]
+    assert len({first, last, *others}) == 4
 
 
-def test_worlds_that_grow_hold_each_other_and_are_as_dense() -> None:
-    small, large = (families.world(families.SPREAD, 3, count) for count in (10, 100))
-    for few, many, share in (
-        (small.terrain.peaks, large.terrain.peaks, 0.6),
-        (small.task.radars, large.task.radars, 0.4),
-    ):
-        assert (len(few), len(many)) == (round(10 * share), round(100 * share))
-        assert many[: len(few)] == few
-    away_m = [max(abs(peak.north_m), abs(peak.east_m)) for peak in large.terrain.peaks]
-    edges_m = [500.0 * math.sqrt(count / 0.004) for count in (10, 100)]
-    assert max(away_m[:6]) <= edges_m[0] <= min(away_m[6:]) <= max(away_m) <= edges_m[1]
-
-
-@pytest.mark.parametrize("family", families.FAMILIES)
+@EACH
 def test_every_world_has_a_way_by_an_independent_search(family: str) -> None:
     world = families.world(family, 5, 0)
-    task = world.task
+    task, away_m = world.task, world.task.required_clearance_m
     step = task.settings.scan_range_m / 60.0
     axes = [np.arange(low, high, step) for low, high in (task.limits.north_m, task.limits.east_m)]
     north, east = np.meshgrid(*axes, indexing="ij")
     height = world.terrain.height_m(north, east)  # not what the proof of the way uses
-    aside = distance_transform_edt(height < world.floor_amsl_m) * step
-    free = height < world.floor_amsl_m - task.required_clearance_m
-    free &= aside > task.required_clearance_m
+    free = height < world.floor_amsl_m - away_m
+    free &= distance_transform_edt(height < world.floor_amsl_m) * step > away_m
     for radar in task.radars:
         n, e, z = radar.centre_nea_m
         free &= np.hypot(np.hypot(north - n, east - e), world.floor_amsl_m - z) > radar.range_m
+    places = np.stack([north.ravel(), east.ravel(), 0.0 * north.ravel()], axis=-1)
     for zone in task.zones:
-        free &= truth.keep_out_distance_m(
-            np.stack([north.ravel(), east.ravel(), 0.0 * north.ravel()], axis=-1), zone
-        ).reshape(free.shape) > task.required_clearance_m  # fmt: skip
+        free &= truth.keep_out_distance_m(places, zone).reshape(free.shape) > away_m
     pools, _ = label(free)
     start, target = (
         pools[tuple(int(np.argmin(np.abs(a - p))) for a, p in zip(axes, end, strict=True))]
@@ -84,34 +70,19 @@ def test_there_is_a_way_through_a_wall_when_its_gap_is_wide_enough(
     gap_m: float, open_: bool
 ) -> None:
     terrain = replace(BASE.terrain, peaks=ridge(gap_m))
-    world = replace(BASE, terrain=terrain, task=replace(BASE.task, radars=()))
-    assert drawn_world.has_way_through(world) is open_
     watched = Radar(name="r", centre_nea_m=(50_000.0, 50_000.0, 0.0), range_m=9_000.0)
-    closed = replace(world, task=replace(world.task, radars=(watched,)))
-    assert not drawn_world.has_way_through(closed)
+    for radars in ((), (watched,)):
+        world = replace(BASE, terrain=terrain, task=replace(BASE.task, radars=radars))
+        assert drawn_world.has_way_through(world) is (open_ and not radars)
 
 
-@pytest.mark.parametrize("name", bundled())
-def test_every_bundled_world_is_judged_by_its_own_heights(name: str) -> None:
-    drawn, terrain = drawn_world.bundled(name), load_world(name).terrain
-    (south, north), (west, east) = drawn.task.limits.north_m, drawn.task.limits.east_m
-    share = np.array([0.2, 0.5, 0.7])
-    north_m, east_m = south + share * (north - south), west + share * (east - west)
-    found, expected = (
-        truth.height_m(drawn.terrain, north_m, east_m),
-        terrain.height_m(north_m, east_m),
-    )
-    np.testing.assert_allclose(found, expected, atol=3.0)
-
-
-@pytest.mark.parametrize("family", families.FAMILIES)
+@EACH
 def test_what_is_read_back_is_what_was_drawn(family: str, tmp_path: Path) -> None:
     drawn = families.world(family, 5, 0)
     world_path, mission_path = write(drawn, tmp_path)
     mission, world = load_mission(str(mission_path)), load_world(str(world_path))
     task, limits = mission.task, drawn.task.limits
-    assert task.radars == drawn.task.radars
-    assert task.zones == drawn.task.zones
+    assert (task.radars, task.zones) == (drawn.task.radars, drawn.task.zones)
     assert replace(task.settings, position_period_s=0.1) == drawn.task.settings
     assert task.settings.position_period_s in (0.05, 0.1)
     assert mission.targets_ne_m == drawn.targets_ne_m

@@ -11,36 +11,16 @@ import pytest
 import rich
 import viser
 from pymavlink.dialects.v20 import all as wire
-from recorded import flown, mission_file, record
 
-from companion.config import load_mission
 from companion.live_view.ground import PROVEN, UNKNOWN, Ground, Replica, ground_of
 from companion.live_view.page import Page
 from companion.live_view.recording import Recording
 from companion.live_view.scene import Scene
 from companion.live_view.shapes import WIDTH
-from companion.session import Session
-from companion.telemetry.inputs import HEADER, packed
+from companion.replay.feed import flown_mission, outputs
 
 GROWING = ("flight.tlog", "journal.jsonl", "inputs.msgpack")
 PIECES = 5
-ORIGIN = (0.0, 0.0)
-
-
-@pytest.fixture(scope="module")
-def flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Session]:
-    """A flight with its inputs, paused once, and the session that has flown it."""
-    folder = tmp_path_factory.mktemp("recorded")
-    file = mission_file(folder)
-    it = flown(file)
-    record(folder / "run", it, file.read_text(encoding="utf-8"))
-    (folder / "run" / "inputs.msgpack").write_bytes(b"".join(packed([HEADER, *it.inputs])))
-    return folder / "run", it.session
-
-
-@pytest.fixture(scope="module")
-def run_dir(flight: tuple[Path, Session]) -> Path:
-    return flight[0]
 
 
 @pytest.fixture
@@ -71,14 +51,14 @@ def ground_at(replica: Replica, recording: Recording, time_s: float) -> Ground |
 
 
 def test_a_flight_that_grows_is_read_like_one_that_is_over(
-    run_dir: Path, recording: Recording, tmp_path: Path
+    recording: Recording, tmp_path: Path
 ) -> None:
     """In pieces that end anywhere, as another process sees files that are written."""
-    data = {name: (run_dir / name).read_bytes() for name in GROWING}
-    shutil.copy(run_dir / "mission.toml", tmp_path)
+    data = {name: (recording.path / name).read_bytes() for name in GROWING}
+    shutil.copy(recording.path / "mission.toml", tmp_path)
     for name in GROWING:
         (tmp_path / name).touch()
-    replica, at_once = Replica(tmp_path), advanced(Replica(run_dir))
+    replica, at_once = Replica(tmp_path), advanced(Replica(recording.path))
     growing = Recording(tmp_path)
     for piece in range(PIECES + 1):
         for name in GROWING:
@@ -87,8 +67,7 @@ def test_a_flight_that_grows_is_read_like_one_that_is_over(
         advanced(replica)
     assert growing.events == recording.events
     for name in ("times_s", "places_nea_m"):
-        same = getattr(recording.flight, name)
-        assert np.array_equal(getattr(growing.flight, name), same)
+        assert np.array_equal(getattr(growing.flight, name), getattr(recording.flight, name))
     assert replica.ended is None
     times_s = recording.flight.times_s
     for time_s in times_s[:: len(times_s) // 50].tolist():
@@ -98,25 +77,23 @@ def test_a_flight_that_grows_is_read_like_one_that_is_over(
         assert (ground and ground.height_m.tobytes()) == (same and same.height_m.tobytes())
 
 
-def test_the_ground_is_what_the_flight_knew(
-    flight: tuple[Path, Session], recording: Recording
-) -> None:
+def test_the_ground_is_what_the_flight_knew(run_dir: Path, recording: Recording) -> None:
     """Drawn by blocks of 2 x 2 cells, by the least sure of them."""
-    run_dir, session = flight
+    *_, (_, session, _) = outputs(run_dir, flown_mission(run_dir))
     replica = advanced(Replica(run_dir))
     first, last = (ground_at(replica, recording, at_s) for at_s in (0.0, math.inf))
     assert (first.kind == UNKNOWN).all()
     known = session.state.flight.known
     aside = replace(known, upper_m=np.roll(known.upper_m, 1, 0), seen=np.roll(known.seen, 1, 0))
-    drawn_aside = ground_of(aside, ORIGIN, session.mission)
-    for each, drawn in ((known, last), (aside, drawn_aside)):
-        rows, columns = drawn.kind.shape
+    less = ground_of(aside, (0.0, 0.0), session.mission)
+    for each, ground in ((known, last), (aside, less)):
+        rows, columns = ground.kind.shape
         proven = each.surveyed.reshape(rows, 2, columns, 2).all((1, 3))
         assert proven.any()
-        assert np.array_equal(drawn.kind == PROVEN, proven)
+        assert np.array_equal(ground.kind == PROVEN, proven)
         highest_m = each.upper_m.reshape(rows, 2, columns, 2).max((1, 3))
-        assert drawn.height_m[proven] == pytest.approx(highest_m[proven])
-    assert (drawn_aside.kind == PROVEN).sum() < (last.kind == PROVEN).sum()
+        assert ground.height_m[proven] == pytest.approx(highest_m[proven])
+    assert (less.kind == PROVEN).sum() < (last.kind == PROVEN).sum()
 
 
 def test_the_scene_and_the_panel_follow_the_time(
@@ -127,7 +104,7 @@ def test_the_scene_and_the_panel_follow_the_time(
     for second in range(40):  # of its clock: until all is read
         page.step(float(second), 1.0)
     of_world = {"/vehicle", "/track", "/unknown", "/ground/guessed", "/decided/target_1"}
-    names = {"p_scan", "p_prog", "leg", "control", "guide", "reach"}
+    names = ("p_scan", "p_prog", "leg", "control", "guide", "reach")
     of_plan = {f"/decided/{name}" for name in names}
     assert of_world | of_plan | {"/ground/proven"} <= handles.keys()
     labels = {handles[name].text for name in handles if name.endswith("/label")}
@@ -168,16 +145,3 @@ def test_what_a_lidar_passed_over_is_shown_for_a_second(
     assert (beams[0, 1] - beams[0, 0])[:2] / away[0] == pytest.approx(ahead, abs=1e-2)
     scene.show(recording.ends_s - 1.0)
     assert not np.any(server.scene.get_handle_by_name("/sweep").points)
-
-
-def test_trees_hide_no_vehicle_that_flies_between_them() -> None:
-    """A flat beam does not see how high they are: so high as paths may be is all that matters."""
-    mission = load_mission("forest")
-    known = Session(mission, seed=1, lockstep=True).state.flight.known
-    upper_m, seen = known.upper_m.copy(), known.seen.copy()
-    upper_m[:, :80], seen[:, :100] = 400.5, True
-    upper_m[:, 80:100] = 430.0
-    ground = ground_of(replace(known, upper_m=upper_m, seen=seen), ORIGIN, mission)
-    drawn_m = ground.height_m[ground.kind == PROVEN]
-    assert set(np.unique(drawn_m)) == {400.5, mission.task.limits.ceiling_amsl_m}
-    assert (ground.kind == UNKNOWN).sum() + len(drawn_m) == ground.kind.size

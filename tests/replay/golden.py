@@ -20,12 +20,9 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Final
 
-from companion.config import load_mission
 from companion.mavlink.dialect import Message
-from companion.mission.mission import Mission
-from companion.mission.start import Start
 from companion.replay.differences import message_of
-from companion.replay.feed import outputs
+from companion.replay.feed import flown_mission, outputs
 from companion.telemetry.inputs import FILE, InputsFile
 from companion.telemetry.run_folder import journal_line
 
@@ -42,12 +39,8 @@ _LEFT_OUT = ("HEARTBEAT", "TIMESYNC", "TERRAIN_REQUEST", "SYS_STATUS")
 
 def decisions_of(folder: Path) -> Iterator[dict[str, Any]]:
     """What the flight of a golden decides, line by line."""
-
-    def mission_of(start: Start) -> Mission:
-        return load_mission(str(folder / "mission.toml"), start.profile)
-
     shown_s, inputs = -math.inf, 0
-    for _, _, output in outputs(folder, mission_of):
+    for _, _, output in outputs(folder, flown_mission(folder)):
         inputs += 1
         if output is None:
             continue

@@ -21,7 +21,7 @@ from companion.campaign.in_process import FlightFiles, Flying
 from companion.config import load_mission
 from companion.mavlink.link import Output
 from companion.mission.state import Phase
-from companion.replay.feed import outputs
+from companion.replay.feed import flown_mission, outputs
 from companion.replay.shadow import watch
 from companion.telemetry import inputs
 
@@ -34,11 +34,9 @@ def main(arguments: list[str]) -> int:
         sys.stderr.write("error: goldens are updated by a person, who reads what changes\n")
         return 2
     names = [name for name in arguments if name != "--fly"] or list(NAMES)
-    unknown = sorted(set(names) - {path.name for path in GOLDENS.iterdir()})
-    if unknown:
-        sys.stderr.write(
-            f"error: NAME = {unknown[0]!r}: no such golden. One of: {', '.join(NAMES)}\n"
-        )
+    for name in sorted(set(names) - {path.name for path in GOLDENS.iterdir()}):
+        known = f"One of: {', '.join(NAMES)}"
+        sys.stderr.write(f"error: NAME = {name!r}: no such golden. {known}\n")
         return 2
     for name in names:
         folder = GOLDENS / name
@@ -53,20 +51,27 @@ def main(arguments: list[str]) -> int:
 
 
 def _record(folder: Path, how: dict[str, Any]) -> None:
-    """Fly it again, and keep what the session was told up to a time."""
-    with tempfile.TemporaryDirectory() as scratch:
-        run = Path(scratch) / "run"
-        if "log" in how:
-            _watch(folder, how)
-            return
-        for file, text in texts(folder, how).items():
-            (Path(scratch) / file).write_text(text, encoding="utf-8")
-        if "happens" in how:
-            _try_out(how, Path(scratch), run)
-        else:
-            _fly(how, Path(scratch), run)
-        shutil.copy(run / "mission.toml", folder / "mission.toml")
-        _cut(run, folder / inputs.FILE, float(how["until_s"]))
+    """Fly it again, or watch the flight of a log, and keep what the session was told until then."""
+    told, until_s = list[inputs.Input](), float(how["until_s"])
+    if "log" in how:
+
+        def keep(at_s: float, output: Output) -> None:
+            told.extend(output.inputs if at_s <= until_s else ())
+
+        mission = load_mission(str(folder / "mission.toml"))
+        watch(recording(how["log"]), mission, on_output=keep)
+    else:
+        with tempfile.TemporaryDirectory() as name:
+            scratch = Path(name)
+            for file, text in texts(folder, how).items():
+                (scratch / file).write_text(text, encoding="utf-8")
+            (_kill if "killed_after_wall_s" in how else _fly)(how, scratch)
+            shutil.copy(scratch / "run" / "mission.toml", folder / "mission.toml")
+            for each, session, _ in outputs(scratch / "run", flown_mission(scratch / "run")):
+                if session.now_s > until_s:
+                    break
+                told.append(each)
+    (folder / inputs.FILE).write_bytes(b"".join(inputs.packed((inputs.HEADER, *told))))
 
 
 def texts(folder: Path, how: dict[str, Any]) -> dict[str, str]:
@@ -80,28 +85,16 @@ def texts(folder: Path, how: dict[str, Any]) -> dict[str, str]:
     return found
 
 
-def _watch(folder: Path, how: dict[str, Any]) -> None:
-    """Run somebody's flight in shadow, and keep what the session was told up to a time."""
-    told: list[inputs.Input] = []
-
-    def keep(at_s: float, output: Output) -> None:
-        if at_s <= float(how["until_s"]):
-            told.extend(output.inputs)
-
-    mission = load_mission(str(folder / "mission.toml"))
-    watch(recording(how["log"]), mission, on_output=keep)
-    (folder / inputs.FILE).write_bytes(b"".join(inputs.packed((inputs.HEADER, *told))))
-
-
-def _try_out(how: dict[str, Any], scratch: Path, run: Path) -> None:
-    """A short flight in this process, with faults so long after it began to fly."""
+def _fly(how: dict[str, Any], scratch: Path) -> None:
+    """In this process: with faults by vehicle time, and what happens so long after it flies."""
     world, mission = scratch / "world.toml", scratch / "mission.toml"
-    files = FlightFiles(world=world, mission=mission, faults="", folder=run)
-    flying = Flying(files, seed=how["seed"], limit_s=900.0)
+    faults = "\n".join(how.get("faults", ()))
+    files = FlightFiles(world=world, mission=mission, faults=faults, folder=scratch / "run")
+    flying = Flying(files, seed=how.get("seed", 1), limit_s=900.0)
     while flying.loop.session.state.phase is not Phase.FLYING:
         flying.fly_on(1e6 * (flying.now_s + 0.1))
     began_s = flying.now_s
-    for at_s, what in how["happens"]:
+    for at_s, what in how.get("happens", ()):
         flying.fly_on(1e6 * (began_s + at_s))
         name, *words = what.split()
         if name == "companion_off":
@@ -112,38 +105,21 @@ def _try_out(how: dict[str, Any], scratch: Path, run: Path) -> None:
     flying.close()
 
 
-def _fly(how: dict[str, Any], scratch: Path, run: Path) -> None:
-    """Both programs, over UDP; the companion is killed once and started again if it says so."""
+def _kill(how: dict[str, Any], scratch: Path) -> None:
+    """Both programs, over UDP in real time; the companion is killed once and started again."""
     (scratch / "faults.txt").write_text("\n".join(how["faults"]) + "\n", encoding="utf-8")
-    killed_s = how.get("killed_after_wall_s")
-    flight = launch(
-        run,
-        scratch / "world.toml",
-        scratch / "mission.toml",
-        clock=("--lockstep",) if killed_s is None else ("--speedup", "10"),
-        simulator_options=("--faults", scratch / "faults.txt"),
-    )
+    files = (scratch / name for name in ("run", "world.toml", "mission.toml"))
+    faults = ("--faults", scratch / "faults.txt")
+    flight = launch(*files, clock=("--speedup", "10"), simulator_options=faults)
     try:
-        if killed_s is not None:
-            time.sleep(killed_s)
-            flight.companion.kill()
-            flight.companion = program(*flight.companion.process.args, "--resume")
-            time.sleep(killed_s)
-            flight.companion.interrupt(60.0)
+        time.sleep(how["killed_after_wall_s"])
+        flight.companion.kill()
+        flight.companion = program(*flight.companion.process.args, "--resume")
+        time.sleep(how["killed_after_wall_s"])
+        flight.companion.interrupt(60.0)
         flight.companion.wait()
     finally:
         flight.kill()
-
-
-def _cut(run: Path, to: Path, until_s: float) -> None:
-    """The inputs of a flight up to a vehicle time."""
-    mission = str(run / "mission.toml")
-    told = []
-    for each, session, _ in outputs(run, lambda start: load_mission(mission, start.profile)):
-        if session.now_s > until_s:
-            break
-        told.append(each)
-    to.write_bytes(b"".join(inputs.packed((inputs.HEADER, *told))))
 
 
 if __name__ == "__main__":

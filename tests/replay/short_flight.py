@@ -55,7 +55,7 @@ def fly_short(
         return vehicle.time_ms >= 1e3 * until_s
 
     with RunFolder(path, mission_toml=text, epoch_us=EPOCH_US, resume=again) as folder:
-        folder.header({})
+        folder.header({"mission": "", "seed": 1, "profile": "flight", "lockstep": lockstep})
         mission = load_mission(str(path / "mission.toml"))
         resume = load_resume_data(path, mission).resume if again else None
         session = Session(mission, seed=1, lockstep=lockstep, go=True, resume=resume)

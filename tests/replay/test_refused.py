@@ -18,6 +18,8 @@ from companion.replay import actions
 from companion.replay.feed import DamagedInputError, Feeder, start_of
 from companion.telemetry.inputs import FILE, HEADER, Input, InputsFile, packed
 
+Damage = Callable[[Path], object]
+
 
 @pytest.fixture(scope="module")
 def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -31,33 +33,22 @@ def run(run_dir: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(run_dir, tmp_path / "run"))
 
 
-def replays(*arguments: object) -> tuple[int, str, list[str]]:
-    """Exit code of a replay, what it printed, and the lines of its errors."""
-    quick = [] if "--seed" in arguments else ["--no-plans"]
-    code, out, said = answered("replay", *arguments, *quick)
-    return code, out, [line for line in said.splitlines() if "error:" in line]
-
-
-@pytest.mark.parametrize(
-    "command",
-    ["replay RUN", "replay RUN --seed 3", "report RUN", "view RUN --view-port 0",
-     "fly environment-1 --out RUN --resume"],
-)  # fmt: skip
-def test_a_run_folder_of_an_older_version_is_told_who_reads_it_and_left_as_it_is(
-    run: Path, command: str
-) -> None:
+def test_a_run_folder_of_an_older_version_is_told_who_reads_it_and_left_as_it_is(run: Path) -> None:
     path = run / "journal.jsonl"
     path.write_bytes(path.read_bytes().replace(b'"version":%d' % VERSION, b'"version":2', 1))
     before = {file: file.read_bytes() for file in run.iterdir()}
-    code, _, said = answered(*(run if word == "RUN" else word for word in command.split()))
     rule = "an older companion has recorded it: its journal is of version 2"
-    assert (code, said) == (2, f"error: RUN_DIR = '{run}': {rule}. Use companion 0.2.0 for it.\n")
+    for command in (
+        *("replay RUN", "replay RUN --seed 3", "report RUN", "view RUN --view-port 0"),
+        "fly environment-1 --out RUN --resume",
+    ):
+        code, _, said = answered(*(run if word == "RUN" else word for word in command.split()))
+        expected = f"error: RUN_DIR = '{run}': {rule}. Use companion 0.2.0 for it.\n"
+        assert (code, said) == (2, expected)
     assert {file: file.read_bytes() for file in run.iterdir()} == before
 
 
 # --- what is damaged
-
-Damage = Callable[[Path], object]
 
 
 def empty(*names: str) -> Damage:
@@ -71,8 +62,7 @@ def garbage_in_the_log(run: Path) -> None:
 
 def an_odd_line(run: Path) -> None:
     lines = (run / "journal.jsonl").read_bytes().splitlines(keepends=True)
-    lines[5] = b"?\n"
-    (run / "journal.jsonl").write_bytes(b"".join(lines))
+    (run / "journal.jsonl").write_bytes(b"".join([*lines[:5], b"?\n", *lines[6:]]))
 
 
 def inputs_end_with(change: Callable[[bytes], bytes]) -> Damage:
@@ -91,16 +81,13 @@ def a_damaged_answer(run: Path) -> None:
 
 
 ENDS_EARLY = "the recording ends early: .*\nidentical\n"  # as a power cut or a kill leaves it
+NO_INPUTS = inputs_end_with(lambda rest: b"\xc1" + rest)
 DAMAGES: dict[str, tuple[Damage, int, str]] = {
     "nothing": (empty("flight.tlog", "journal.jsonl"), 2, "it holds nothing to compare a replay"),
     "no frame": (empty("flight.tlog"), 0, "no frame was compared: flight.tlog holds none"),
     "a line that is no JSON": (an_odd_line, 1, "kind: recorded b'.\\\\n'.*Companion .* flew"),
     "garbage in the log": (garbage_in_the_log, 2, "up to there.* bytes of flight.tlog that are no"),
-    "garbage in the inputs": (
-        inputs_end_with(lambda rest: b"\xc1" + rest),
-        2,
-        "identical up to there.*bytes that are no inputs",
-    ),
+    "garbage in the inputs": (NO_INPUTS, 2, "identical up to there.*bytes that are no inputs"),
     "a hole": (inputs_end_with(lambda _: bytes(5000)), 0, ENDS_EARLY),
     "a torn input": (inputs_end_with(lambda rest: rest[:9]), 0, ENDS_EARLY),
     "a damaged input": (
@@ -116,35 +103,31 @@ def test_what_is_damaged_is_a_difference_or_an_error_of_one_line(run: Path, dama
     """Never is nothing the same as something; what came before the damage is compared."""
     change, expected, words = DAMAGES[damage]
     change(run)
-    code, out, errors = replays(run)
+    code, out, said = answered("replay", run, "--no-plans")
+    errors = [line for line in said.splitlines() if "error:" in line]
     assert (code, len(errors)) == (expected, expected > 0)
     assert re.search(words, "\n".join([out, *errors]), flags=re.DOTALL)
     assert damage != "nothing" or "identical" not in out
 
 
-@pytest.mark.parametrize(
-    "told",
-    [
-        *[("deliver", each) for each in (None, {}, {"plan_id": 1, "kind": "?"})],
-        *[("silence", each) for each in (None, float("nan"), True)],
-        ("receive", b"", float("nan")),
-        ("receive", "x", 1.0),
-        ("run", 1),
-        ("nothing of the kind",),
-    ],
-)
-def test_what_is_nothing_that_a_session_is_told_is_named(run_dir: Path, told: Input) -> None:
+NO_TOLD: list[Input] = [
+    *[("deliver", each) for each in (None, {}, {"plan_id": 1, "kind": "?"})],
+    *[("silence", each) for each in (None, float("nan"), True)],
+    *[("receive", b"", float("nan")), ("receive", "x", 1.0), ("run", 1), ("nothing of the kind",)],
+]
+NO_STARTS = ({"seed": "x"}, {"system_id": 0}, {"resume": 5}, {"odd": 1}, {"profile": "x"})
+
+
+def test_what_is_nothing_that_a_session_is_told_is_named(run_dir: Path) -> None:
     feeder = Feeder(lambda _: load_mission("valley"))
     start = next(iter(InputsFile(run_dir / FILE)))
     feeder.take(start)
-    with pytest.raises(DamagedInputError):
-        feeder.take(told)
-    for change in ({"seed": "x"}, {"system_id": 0}, {"resume": 5}, {"odd": 1}, {"profile": "x"}):
+    for told in NO_TOLD:
+        with pytest.raises(DamagedInputError):
+            feeder.take(told)
+    for change in NO_STARTS:
         with pytest.raises(DamagedInputError, match="a start that is none"):
             start_of((start[0], {**start[1], **change}))
-
-
-# --- the elevation file
 
 
 def test_an_elevation_file_that_has_changed_is_said_in_one_line(
@@ -156,12 +139,11 @@ def test_an_elevation_file_that_has_changed_is_said_in_one_line(
     write_elevation(file, heights_m, *about_the_origin)
     text = short_mission(terrain={"file": str(file), "vertical_datum": "EGM96"})
     fly_short(path, text=text, until_s=5.0)
-    assert replays(path)[0] == 0
+    assert answered("replay", path, "--no-plans")[0] == 0
     write_elevation(file, heights_m + 10, *about_the_origin)
     monkeypatch.setattr(actions, "load_kernel", lambda: pytest.fail("it is compiled in vain"))
-    for option in ((), ("--seed", 3)):  # what if, too
-        code, out, [error] = replays(path, *option)
-        assert code == 2
-        assert f"terrain.file = '{file}': the elevation file has changed since the flight" in error
-        assert "Put the file of the flight there, or name it in " in error
-        assert "first difference" not in out
+    for option in (["--no-plans"], ["--seed", 3]):  # what if, too
+        code, out, said = answered("replay", path, *option)
+        assert (code, said.count("error:"), "first difference" in out) == (2, 1, False)
+        assert f"terrain.file = '{file}': the elevation file has changed since the flight" in said
+        assert "Put the file of the flight there, or name it in " in said

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import pytest
@@ -10,43 +9,22 @@ from answers import answered
 from golden import GOLDENS
 
 from companion.config import load_mission
-from companion.mission.mission import Mission
-from companion.replay.what_if import WhatIf, what_if, with_changes
+from companion.replay.what_if import what_if, with_changes
 from companion.world.zones import CircleZone
 
 FLIGHT = GOLDENS / "copter-loses-gps"
 MISSION = str(FLIGHT / "mission.toml")
 
 
-@cache
-def same_settings() -> list[WhatIf]:
-    return asked(load_mission(MISSION))
-
-
-def asked(changed: Mission, seed: int | None = None) -> list[WhatIf]:
-    flown = load_mission(MISSION)
-    return list(what_if(FLIGHT, lambda _start: flown, changed, seed=seed))
-
-
 def test_the_same_settings_give_plans_as_good_as_were_flown_on_any_processor() -> None:
     """The very same on one that computes alike: tests/closed_loop/test_reproduce.py."""
-    found = same_settings()
+    flown = load_mission(MISSION)
+    found = list(what_if(FLIGHT, lambda _start: flown, flown, seed=None))
     assert len(found) >= 2
     for each in found:
         assert each.now.cost == pytest.approx(each.flown.cost, rel=0.01)
         assert (each.now.refusal, each.now.terms.keys()) == ("", each.flown.terms.keys())
-        assert each.flown.cost is not None
-        assert each.flown.length_m == pytest.approx(150.0 * (each.flown.time_s or 0.0))
-
-
-def test_another_distance_is_what_is_proven_then() -> None:
-    changed = load_mission(MISSION, settings=["planner.safety_distance_m=200"])
-    required_m = changed.task.required_clearance_m
-    found = asked(changed)
-    assert any(each.now != each.flown for each in found)
-    for each in found:
-        assert each.now.clearance_m >= required_m - 1e-6
-        assert each.flown.clearance_m >= 500.0
+        assert each.flown.length_m == pytest.approx(150.0 * each.flown.time_s)
 
 
 def test_what_changed_in_flight_stays_and_only_what_the_settings_say_changes() -> None:
@@ -58,33 +36,35 @@ def test_what_changed_in_flight_stays_and_only_what_the_settings_say_changes() -
     after = load_mission(MISSION, settings=["vehicle.speed_m_s=100"]).task
     task = with_changes(in_flight, before, after)
     assert task.zones == (drawn,)
-    assert task.limits.ceiling_amsl_m == 2_200.0
-    assert task.limits.speed_m_s == 100.0
+    assert (task.limits.ceiling_amsl_m, task.limits.speed_m_s) == (2_200.0, 100.0)
     assert task.settings == before.settings
     assert with_changes(in_flight, before, before).limits == in_flight.limits
 
 
-@pytest.mark.parametrize(
-    ("setting", "words"),
-    [
-        ("=3", "it is not a key, an = and a value"),
-        ("name.of=3", "name = {'of': 3}: it must be a valid string"),
-        ("planner.safty_distance_m=3", "no such key"),
-        ("planner.planning_time_s=1e4", "eq. 4"),
-    ],
-)
-def test_the_command_refuses_a_setting_that_no_mission_may_have(setting: str, words: str) -> None:
-    code, _, said = answered("replay", FLIGHT, "--set", setting)
-    assert (code, said.count("\n")) == (2, 1)
-    assert words in said
-
-
-def test_the_command_tabulates_and_writes_it(tmp_path: Path) -> None:
-    report = tmp_path / "report.json"
-    settings = ("--set", "planner.safety_distance_m=200")
-    code, shown, _ = answered("replay", FLIGHT, *settings, "--json", report)
+def test_the_command_tabulates_and_writes_what_is_proven_by_another_distance(
+    tmp_path: Path,
+) -> None:
+    setting, report = "planner.safety_distance_m=200", tmp_path / "report.json"
+    required_m = load_mission(MISSION, settings=[setting]).task.required_clearance_m
+    code, shown, _ = answered("replay", FLIGHT, "--set", setting, "--json", report)
+    rows = json.loads(report.read_text(encoding="utf-8"))
     assert code == 0
     assert "subpaths as flown: cost" in shown
-    rows = json.loads(report.read_text(encoding="utf-8"))
-    assert [row["plan_id"] for row in rows] == [each.plan_id for each in same_settings()]
     assert f"{rows[0]['flown']['cost']:.2f}" in shown
+    assert [row["plan_id"] for row in rows] == [1, 2]
+    assert any(row["now"] != row["flown"] for row in rows)
+    for row in rows:
+        assert row["now"]["clearance_m"] >= required_m - 1e-6
+        assert row["flown"]["clearance_m"] >= 500.0
+
+
+def test_the_command_refuses_a_setting_that_no_mission_may_have() -> None:
+    for setting, words in {
+        "=3": "it is not a key, an = and a value",
+        "name.of=3": "name = {'of': 3}: it must be a valid string",
+        "planner.safty_distance_m=3": "no such key",
+        "planner.planning_time_s=1e4": "eq. 4",
+    }.items():
+        code, _, said = answered("replay", FLIGHT, "--set", setting)
+        assert (code, said.count("\n")) == (2, 1)
+        assert words in said

@@ -1,7 +1,6 @@
 """A short flight, recorded as `companion fly` does it: paused once, past zones, to its target."""
 
 from pathlib import Path
-from typing import Any
 
 from pymavlink.dialects.v20 import all as wire
 from scripted_vehicle import Pair, Vehicle
@@ -64,11 +63,12 @@ def tell(it: Pair, goes_on: float) -> None:
     it.feed(wire.MAVLink_command_long_message(1, 195, PAUSE, 0, *values).pack(codec))
 
 
-def record(folder: Path, it: Pair, text: str, **header: Any) -> None:
+def record(folder: Path, it: Pair, text: str) -> None:
     """Write what a flight has left, as the recorder does."""
     facts = {"mission": "environment-1", "seed": 1, "profile": "flight", "lockstep": True}
     with RunFolder(folder, mission_toml=text, epoch_us=EPOCH_US) as run:
-        run.header({**facts, **header})
+        run.header(facts)
+        run.inputs(it.inputs)
         run.frames(it.record)
         run.entries(it.journal)
         run.run_json({"companion": "0"})

@@ -1,24 +1,32 @@
 """Recorded flights in logs of each kind: as pymavlink reads them, and as it was sent in flight."""
 
-import math
+import hashlib
+import struct
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-from log_files import bin_of, counts, messages_of, opened
+from log_files import bin_of, counts, messages_of
 from recordings import NAMES, recording
 from tlog import read_by_pymavlink
 
 from companion.geodesy import FloatArray
 from companion.mavlink.dialect import Message, wire
-from companion.mavlink.parameter_client import decoded
 from companion.telemetry.logs import Log, Odd, open_log
 
 LOGS = [recording(name) for name in NAMES if name.endswith(".tlog")]
-COPTER, PLANE = "arducopter-gps-loss.tlog", "arduplane-guided-reposition.tlog"
-ULG = recording("px4-offboard-short.ulg")
+COPTER, PLANE, PX4 = (
+    *("arducopter-gps-loss", "arduplane-guided-reposition"),
+    "px4-offboard-short",  # the .ulg was recorded beside the .tlog, a .bin is made of that
+)
+NIGHTLY = pytest.param(PLANE, marks=pytest.mark.nightly)
+EACH = pytest.mark.parametrize("name", [COPTER, NIGHTLY, PX4])
+FIX = "time_usec fix_type lat lon alt eph epv vel satellites_visible h_acc"
 Told = list[tuple[int, Message]]
 """What a log tells: microseconds, and message."""
+STREAMS = {COPTER: "6ddbd24b1b6ae86b", PLANE: "85e43dd8af8660c8", PX4: "80be3f0d694a21ba"}
+"""The beginning of the hash of all records of the other log, stamps and frames."""
 
 
 @pytest.mark.parametrize("path", LOGS[::2], ids=lambda path: path.stem)
@@ -37,167 +45,107 @@ def test_a_recorded_log_is_read_as_pymavlink_reads_it(path: Path) -> None:
 # --- one flight in two logs
 
 
-def sent_by_autopilot(path: Path) -> Told:
-    told = messages_of(open_log(path).records())
-    return [pair for pair in told if pair[1].get_srcComponent() == 1]
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("logs")
 
 
-def of_kind(pairs: Told, kind: str) -> Told:
-    return [pair for pair in pairs if pair[1].get_type() == kind]
+@cache
+def both(name: str, folder: Path) -> tuple[Told, Told, Log]:
+    """The flight as its autopilot sent it, as its other log tells it, and that log."""
+    sent = messages_of(open_log(recording(f"{name}.tlog")).records())
+    path = folder / f"{name}.bin"
+    if name == PX4:
+        path = recording(f"{name}.ulg")
+    else:
+        path.write_bytes(bin_of(recording(f"{name}.tlog")))
+    log = open_log(path)
+    ours = messages_of(log.records())
+    return [each for each in sent if each[1].get_srcComponent() == 1], ours, log
+
+
+def value(message: Message, field: str) -> float:
+    if field == "armed":
+        return float(message.base_mode & wire.MAV_MODE_FLAG_SAFETY_ARMED)
+    return float(getattr(message, field))
 
 
 def table(pairs: Told, kind: str, fields: str) -> FloatArray:
-    """A line for each message of a kind, a column for each field.  (M, F)."""
-    rows = [[getattr(m, name) for name in fields.split()] for _, m in of_kind(pairs, kind)]
+    """A line for each message of a kind, its time in seconds and its fields.  (M, 1 + F)."""
+    rows = [
+        [time_us * 1e-6, *(value(m, name) for name in fields.split())]
+        for time_us, m in pairs
+        if m.get_type() == kind
+    ]
     return np.array(rows, dtype=float)
 
 
 def apart(sent: Told, ours: Told, kind: str, fields: str) -> FloatArray:
-    """How far messages of the same moment, by the first field, are from each other.  (M, F - 1)."""
+    """How far messages of the same moment, by the first field, are from each other.  (M, 1 + F).
+
+    And how much later ours is, in seconds, in the first column.
+    """
     tables = [table(each, kind, fields) for each in (sent, ours)]
-    _, *places = np.intersect1d(*(each[:, 0] for each in tables), return_indices=True)
-    theirs, mine = (each[at, 1:] for each, at in zip(tables, places, strict=True))
-    return np.abs(theirs - mine)
+    _, *places = np.intersect1d(*(each[:, 1] for each in tables), return_indices=True)
+    theirs, mine = (each[at] for each, at in zip(tables, places, strict=True))
+    return np.column_stack([mine[:, 0] - theirs[:, 0], np.abs(theirs - mine)[:, 2:]])
 
 
-def late_s(sent: Told, ours: Told) -> FloatArray:
-    """By how much positions of the same moment since boot are later in our log."""
-    kind = "GLOBAL_POSITION_INT"
-    begun = {m.time_boot_ms: t for t, m in of_kind(sent, kind)}
-    pairs = [(begun.get(m.time_boot_ms), t) for t, m in of_kind(ours, kind)]
-    return np.array([(at_us - t) * 1e-6 for at_us, t in pairs if at_us is not None])
+def changes(pairs: Told, kind: str, fields: str) -> FloatArray:
+    """Time and values each time that these change, but for what lasts less than 0.75 s.
+
+    A .tlog has a heartbeat a second: two changes within one are one there.
+    """
+    told = table(pairs, kind, fields)
+    told = told[[True, *(np.diff(told[:, 1:], axis=0) != 0).any(1)]]
+    return told[[*(np.diff(told[:, 0]) > 0.75), True]]
 
 
-def changes(pairs: Told, kind: str, fields: str) -> list[list[float]]:
-    """Time in seconds and values, each time that these change; of a heartbeat's mode the arming."""
-    found: list[list[float]] = []
-    for time_us, message in of_kind(pairs, kind):
-        armed = wire.MAV_MODE_FLAG_SAFETY_ARMED
-        values = {name: getattr(message, name) for name in fields.split()}
-        now = [value & armed if name == "base_mode" else value for name, value in values.items()]
-        if not found or found[-1][1:] != now:
-            found.append([time_us * 1e-6, *now])
-    return found
+@EACH
+def test_positions_and_fixes_of_the_same_moment_are_as_they_were_sent(
+    name: str, folder: Path
+) -> None:
+    sent, ours, _ = both(name, folder)
+    fields = "time_boot_ms lat lon alt vx vy vz" + " relative_alt hdg" * (name != PX4)
+    off = apart(sent, ours, "GLOBAL_POSITION_INT", fields)
+    assert len(off) > 900
+    assert off[:, 0].max() < 0.05  # the .tlog has the time of arrival
+    assert np.ptp(off[:, 0]) < 0.75
+    if name == PX4:
+        assert off[:, 1:].max() <= 2
+        fixes = apart(sent, ours, "GPS_RAW_INT", FIX)
+        assert len(fixes) >= 50
+        assert fixes[:, 1:].max() <= 1
+    else:
+        off[:, -1] = np.minimum(off[:, -1], 36_000 - off[:, -1])  # a heading goes round
+        assert off[:, 1:].max() <= 1  # the last digit of the wire
 
 
-@pytest.mark.parametrize("name", [COPTER, PLANE])
-@pytest.mark.sample(2)
-def test_a_bin_tells_the_flight_as_its_tlog(name: str, tmp_path: Path) -> None:
-    sent = sent_by_autopilot(recording(name))
-    log = opened(tmp_path, bin_of(recording(name)))
-    ours = messages_of(log.records())
-    assert not log.findings
-    assert (log.kind, log.systems, log.system_id) == ("bin", (1,), 1)
-    positions = "time_boot_ms lat lon alt relative_alt vx vy vz hdg"
-    off = apart(sent, ours, "GLOBAL_POSITION_INT", positions)
-    assert len(off) > 0.95 * len(of_kind(sent, "GLOBAL_POSITION_INT"))
-    off[:, -1] = np.minimum(off[:, -1], 36_000 - off[:, -1])  # a heading goes round
-    assert off.max() <= 1  # the last digit of the wire
-    assert np.ptp(late_s(sent, ours)) < 0.5  # the .tlog has the time of arrival
-    for kind, fields in {
-        "GPS_RAW_INT": "fix_type lat lon alt satellites_visible vel cog",
-        "EKF_STATUS_REPORT": "flags",
-        "HOME_POSITION": "latitude longitude altitude",
-        "GPS_GLOBAL_ORIGIN": "latitude longitude altitude",
-        "PARAM_VALUE": "param_value",
-    }.items():
-        mine, theirs = (table(each, kind, fields) for each in (ours, sent))
-        np.testing.assert_allclose(mine, theirs, rtol=1e-6, atol=10.0)  # of the wire's units
-    dates = [
-        (table(each, "SYSTEM_TIME", "time_unix_usec time_boot_ms") @ [1e-3, -1.0]).max()
-        for each in (sent, ours)
+@EACH
+def test_modes_arming_and_ground_are_as_they_were_sent(name: str, folder: Path) -> None:
+    """A .bin knows of the ground when it is left and touched alone."""
+    sent, ours, _ = both(name, folder)
+    compared = {"HEARTBEAT": "type autopilot custom_mode armed"}
+    compared |= {"EXTENDED_SYS_STATE": "landed_state"} if name == PX4 else {}
+    for kind, fields in compared.items():
+        theirs, mine = (changes(each, kind, fields) for each in (sent, ours))
+        assert np.array_equal(theirs[:, 1:], mine[:, 1:])
+        late_s = (theirs - mine)[1:, 0]
+        assert -0.1 < late_s.min() <= late_s.max() < 1.7
+    critical = [
+        (table(each, "HEARTBEAT", "system_status")[:, 1] == wire.MAV_STATE_CRITICAL).any()
+        for each in (ours, sent)
     ]
-    assert dates[1] == pytest.approx(dates[0], abs=100.0)
-    left, same = (set(table(p, "SYS_STATUS", "battery_remaining").flat) for p in (ours, sent))
-    assert left <= same
-    modes = [changes(each, "HEARTBEAT", "type custom_mode base_mode") for each in (sent, ours)]
-    assert [each[1:] for each in modes[0]] == [each[1:] for each in modes[1]]
-    for kind, field in (("PARAM_VALUE", "param_id"), ("STATUSTEXT", "text")):
-        words = [[getattr(m, field) for _, m in of_kind(each, kind)] for each in (sent, ours)]
-        assert words[0] == [each for each in words[1] if "V4.5.7 (" not in each]  # the writer's
-    states = table(ours, "HEARTBEAT", "system_status")
-    assert (wire.MAV_STATE_CRITICAL in states) == (name == COPTER)  # its failsafe
-    ground = table(ours, "EXTENDED_SYS_STATE", "landed_state").ravel()
-    assert ground[0] == wire.MAV_LANDED_STATE_ON_GROUND
-    assert wire.MAV_LANDED_STATE_IN_AIR in ground
-    if name == COPTER:  # the plane's log ends in the air
-        assert ground[-1] == wire.MAV_LANDED_STATE_ON_GROUND
+    assert critical[0] == critical[1]  # its failsafe
 
 
-Both = tuple[Told, Told, Log]
-
-
-@pytest.fixture(scope="module")
-def both() -> Both:
-    """PX4's flight as it was sent, as its .ulg is told, and that log."""
-    log = open_log(ULG)
-    return sent_by_autopilot(ULG.with_suffix(".tlog")), messages_of(log.records()), log
-
-
-FIX = "time_usec fix_type lat lon alt eph epv vel satellites_visible h_acc"
-
-
-@pytest.mark.parametrize(
-    ("kind", "fields", "tolerance", "least"),
-    [
-        ("GLOBAL_POSITION_INT", "time_boot_ms lat lon alt vx vy vz", 2, 900),
-        ("GPS_RAW_INT", FIX, 1, 50),
-    ],
-)
-def test_a_ulg_tells_positions_and_fixes_of_the_same_moment_as_they_were_sent(
-    both: Both, kind: str, fields: str, tolerance: float, least: int
+@EACH
+def test_all_else_is_as_it_was_when_it_was_held_against_what_was_sent(
+    name: str, folder: Path
 ) -> None:
-    off = apart(both[0], both[1], kind, fields)
-    assert len(off) >= least
-    assert off.max() <= tolerance
-
-
-@pytest.mark.parametrize(
-    ("kind", "fields"),
-    [
-        ("HEARTBEAT", "type autopilot custom_mode base_mode"),
-        ("EXTENDED_SYS_STATE", "landed_state"),
-    ],
-)
-def test_a_ulg_tells_modes_arming_and_ground_as_they_were_sent(
-    both: Both, kind: str, fields: str
-) -> None:
-    """The .tlog has a heartbeat a second: two changes within one are one there."""
-    theirs, mine = (changes(each, kind, fields) for each in both[:2])
-    ends = [*mine[1:], [math.inf]]
-    merged = [here for here, after in zip(mine, ends, strict=True) if after[0] - here[0] > 0.5]
-    assert [each[1:] for each in merged] == [each[1:] for each in theirs]
-    late = [b[0] - a[0] for a, b in zip(merged[1:], theirs[1:], strict=True)]
-    assert -0.1 < min(late) <= max(late) < 1.7
-    for pairs in both[:2]:
-        states = table(pairs, "HEARTBEAT", "system_status")
-        assert (states == wire.MAV_STATE_CRITICAL).sum() >= 3  # its failsafe
-
-
-def test_an_estimator_made_of_other_topics_agrees_with_the_one_that_was_sent(both: Both) -> None:
-    fields = "time_usec flags pos_horiz_accuracy"
-    theirs, mine = (table(each, "ESTIMATOR_STATUS", fields) for each in both[:2])
-    needed = (
-        *(wire.ESTIMATOR_ATTITUDE, wire.ESTIMATOR_VELOCITY_HORIZ, wire.ESTIMATOR_POS_HORIZ_REL),
-        *(wire.ESTIMATOR_POS_HORIZ_ABS, wire.ESTIMATOR_POS_VERT_ABS, wire.ESTIMATOR_ACCEL_ERROR),
-    )
-    mask, compared = sum(needed), 0
-    for time_us, flags, accuracy_m in theirs:
-        k = int(np.abs(mine[:, 0] - time_us).argmin())
-        if abs(mine[k, 0] - time_us) < 150_000 and time_us > 3e6:
-            assert int(mine[k, 1]) & mask == int(flags) & mask
-            assert mine[k, 2] == pytest.approx(accuracy_m, abs=0.05)
-            compared += 1
-    assert compared > 50
-    assert counts(both[2]) == {Odd.MADE_ESTIMATOR: 1}
-    assert both[2].missing() == {}
-
-
-def test_a_ulg_tells_parameters_and_the_date_as_they_were_sent(both: Both) -> None:
-    sent, ours = (
-        {(m.param_id, decoded(m, bytewise=True)) for _, m in of_kind(each, "PARAM_VALUE")}
-        for each in both[:2]
-    )
-    assert {name for name, _ in sent - ours} <= {"EKF2_MAG_DECL"}  # set before the log
-    late = late_s(*both[:2])
-    assert -0.05 < late.min() <= late.max() < 0.7  # the simulation ran at 0.99 of real time
+    """Estimator, parameters, places, texts, battery and date: to the last byte."""
+    _, _, log = both(name, folder)
+    stream = b"".join(struct.pack(">Q", time_us) + frame for time_us, frame in log.records())
+    assert (log.systems, log.system_id, log.missing()) == ((1,), 1, {})
+    assert counts(log) == ({Odd.MADE_ESTIMATOR: 1} if name == PX4 else {})
+    assert hashlib.sha256(stream).hexdigest()[:16] == STREAMS[name]

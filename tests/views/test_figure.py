@@ -13,45 +13,38 @@ from matplotlib.patches import Circle
 
 from companion.config import load_mission
 from companion.geodesy import FloatArray
-from companion.telemetry.export.shapes import highest
 from companion.views import figure as views
 from companion.views.figure import FlightFigure, compose, save
-from companion.world.known_map import KnownMap, empty_map
+from companion.world.known_map import empty_map
 from companion.world.radars import Radar
 from companion.world.zones import CircleZone, PolygonZone
 
 CELL_M = 25.0
-PNG = b"\x89PNG\r\n\x1a\n"
+MIDDLES_M = (np.arange(200) + 0.5) * CELL_M
+BEGINS = {".png": b"\x89PNG\r\n\x1a\n", ".svg": b"<?xml", ".PDF": b"%PDF"}
 
 
 def hill(north_m: FloatArray, east_m: FloatArray) -> FloatArray:
     return 100.0 + 400.0 * np.exp(-(((north_m - 2500) / 900) ** 2) - ((east_m - 2000) / 600) ** 2)
 
 
-def hilly() -> KnownMap:
-    known = empty_map(CELL_M, (0.0, 5000.0), (0.0, 5000.0))
-    middles_m = (np.arange(200) + 0.5) * CELL_M
-    heights_m = hill(middles_m[:, None], middles_m)
-    return replace(known, upper_m=heights_m, seen=np.ones_like(heights_m, dtype=bool))
-
-
 def a_flight() -> FlightFigure:
     """Over the hill in two straight legs, from one corner of 5 km by 5 km to near the other."""
-    u = np.linspace(0.0, 1.0, 60)
-    first = np.stack([500 + 2000 * u, 500 + 1500 * u, 520 + 60 * u], axis=-1)
-    second = np.stack([2500 + 1000 * u, 2000 + 2300 * u, 580 - 20 * u], axis=-1)
+    first = np.linspace((500.0, 500.0, 520.0), (2500.0, 2000.0, 580.0), 60)
+    second = np.linspace((2500.0, 2000.0, 580.0), (3500.0, 4300.0, 560.0), 60)
+    heights_m = hill(MIDDLES_M[:, None], MIDDLES_M)
+    known = empty_map(CELL_M, (0.0, 5000.0), (0.0, 5000.0))
     task = load_mission("environment-1").task
-    task = replace(
-        task,
-        limits=replace(task.limits, floor_amsl_m=450.0, ceiling_amsl_m=700.0),
-        radars=(Radar(name="r", centre_nea_m=(4000.0, 1000.0, 100.0), range_m=700.0),),
-        zones=(CircleZone(name="c", north_m=800.0, east_m=3500.0, radius_m=400.0),),
-    )
     return FlightFigure(
         title="a flight of $5 worth_of words",
         caption="one line",
-        task=task,
-        known=hilly(),
+        task=replace(
+            task,
+            limits=replace(task.limits, floor_amsl_m=450.0, ceiling_amsl_m=700.0),
+            radars=(Radar(name="r", centre_nea_m=(4000.0, 1000.0, 100.0), range_m=700.0),),
+            zones=(CircleZone(name="c", north_m=800.0, east_m=3500.0, radius_m=400.0),),
+        ),
+        known=replace(known, upper_m=heights_m, seen=np.ones_like(heights_m, dtype=bool)),
         start_nea_m=(500.0, 500.0, 520.0),
         targets_ne_m=((3500.0, 4300.0),),
         legs_nea_m=(first, second),
@@ -78,31 +71,26 @@ def labels_of(axes: Any) -> set[str]:
     return set(axes.get_legend_handles_labels()[1])
 
 
-@pytest.fixture
-def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pictures with fewer dots and blocks, which are sooner drawn."""
-    monkeypatch.setattr(views, "DPI", 40)
-    monkeypatch.setattr(views, "_BLOCKS", 30)
-
-
-@pytest.mark.usefixtures("coarse")
-@pytest.mark.parametrize(
-    ("suffix", "begin"), [(".png", PNG), (".svg", b"<?xml"), (".PDF", b"%PDF")]
-)
+@pytest.mark.parametrize("suffix", BEGINS)
 def test_the_same_flight_gives_the_same_picture_of_the_kind_that_is_named(
-    suffix: str, begin: bytes, tmp_path: Path
+    suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The terrain of an .svg is an image, and its lines are lines."""
+    """The terrain of an .svg is an image, and its lines are lines.  Nothing known is a picture."""
+    monkeypatch.setattr(views, "DPI", 40)  # it is sooner drawn
+    monkeypatch.setattr(views, "_BLOCKS", 30)
     one, two = tmp_path / f"one{suffix}", tmp_path / f"two{suffix}"
     for path in (one, two):
         save(compose(a_flight()), path)
     assert not matplotlib._pylab_helpers.Gcf.figs  # none stays open
-    assert one.read_bytes().startswith(begin)
+    assert one.read_bytes().startswith(BEGINS[suffix])
     assert one.read_bytes() == two.read_bytes()
     if suffix == ".svg":
         tags = [each.tag.partition("}")[2] for each in lxml.etree.parse(one).iter("*")]
         assert tags.count("image") >= 2
         assert 50 < tags.count("path") < 3000
+    nothing = a_flight()
+    nothing.known.upper_m[:] = math.inf
+    save(compose(replace(nothing, legs_nea_m=())), one)
 
 
 def test_the_plan_shows_the_path_in_kilometres_and_radars_as_wide_as_within_the_band() -> None:
@@ -119,49 +107,23 @@ def test_the_plan_shows_the_path_in_kilometres_and_radars_as_wide_as_within_the_
     assert sum(patch.get_label() == "keep-out" for patch in plan.patches) == 2
 
 
-def test_the_profile_shows_the_terrain_under_the_path_and_the_path_over_it() -> None:
-    profile = axes_of(a_flight())["profile"]
+def test_the_profile_shows_the_terrain_under_the_path_and_both_paths_over_it() -> None:
+    """The flown track at the nearest place of the path, or as its own; unknown ground as such."""
+    higher = replace(a_flight(), track_nea_m=np.add(PATH, (0.0, 0.0, 7.0)))
+    higher.known.upper_m[:60, :60] = math.inf
+    axes = axes_of(higher)
+    profile, unknown = axes["profile"], (PATH[:, :2] < 60 * CELL_M).all(axis=1)
+    assert "unknown ground" in labels_of(axes["plan"])
     under, over = (line_of(profile, n) for n in ("terrain under the path", "planned path"))
     middles = (np.floor(PATH[:, :2] / CELL_M) + 0.5) * CELL_M  # of the cell that holds the point
-    np.testing.assert_allclose(under[:, 1], hill(middles[:, 0], middles[:, 1]))
+    expected = np.where(unknown, np.nan, hill(middles[:, 0], middles[:, 1]))
+    np.testing.assert_allclose(under[:, 1], expected)
+    assert any(each.get_hatch() for each in profile.collections)  # along the corner
     np.testing.assert_allclose(over[:, 1], PATH[:, 2])
     first_m, second_m = math.hypot(2000.0, 1500.0), math.hypot(1000.0, 2300.0)
     assert over[-1, 0] == pytest.approx(first_m + second_m)
     assert line_of(profile, "scan (p_scan)")[1, 0] == pytest.approx(first_m / 2, abs=30.0)
-
-
-def test_the_flown_track_is_drawn_at_the_nearest_place_of_the_path_or_is_its_own() -> None:
-    higher = axes_of(replace(a_flight(), track_nea_m=np.add(PATH, (0.0, 0.0, 7.0))))["profile"]
-    expected = np.add(line_of(higher, "planned path"), (0.0, 7.0))
-    np.testing.assert_allclose(line_of(higher, "flown track"), expected, atol=1e-9)
+    np.testing.assert_allclose(line_of(profile, "flown track"), np.add(over, (0.0, 7.0)), atol=1e-9)
     alone = axes_of(replace(a_flight(), legs_nea_m=(), track_nea_m=PATH))
     assert "planned path" not in labels_of(alone["plan"])
     np.testing.assert_allclose(line_of(alone["profile"], "flown track")[:, 1], PATH[:, 2])
-
-
-@pytest.mark.usefixtures("coarse")
-def test_unknown_ground_is_shown_as_unknown_and_there_is_a_picture_of_nothing_else(
-    tmp_path: Path,
-) -> None:
-    flight = a_flight()
-    flight.known.upper_m[:60, :60] = math.inf
-    axes = axes_of(flight)
-    assert "unknown ground" in labels_of(axes["plan"])
-    under = line_of(axes["profile"], "terrain under the path")
-    in_corner = (PATH[:, :2] < 60 * CELL_M).all(axis=1)
-    assert in_corner.any()
-    np.testing.assert_array_equal(np.isnan(under[:, 1]), in_corner)
-    (hatched,) = (each for each in axes["profile"].collections if each.get_hatch())
-    assert [len(each.vertices) > 0 for each in hatched.get_paths()] == [True]  # along the corner
-    flight.known.upper_m[:] = math.inf
-    save(compose(replace(flight, legs_nea_m=())), tmp_path / "flight.png")
-
-
-@pytest.mark.parametrize("step", [1, 7, 40])
-def test_of_a_block_of_cells_the_highest_is_drawn(step: int) -> None:
-    fine = np.random.default_rng(step).random((33, 40))
-    blocks = highest(fine, step)
-    for (row, column), value in np.ndenumerate(blocks):
-        cells = np.s_[row * step : (row + 1) * step, column * step : (column + 1) * step]
-        assert value == fine[cells].max()
-    assert blocks.shape == tuple(-(-count // step) for count in fine.shape)
