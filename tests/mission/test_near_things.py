@@ -59,8 +59,9 @@ def on_path(craft: Craft, ahead_m: float) -> tuple[float, float]:
     return north, east
 
 
-def told(craft: Craft, reason: Reason) -> int:
-    return sum(text.startswith(reason.text) for text in texts(craft.commands))
+def said(craft: Craft, words: str) -> int:
+    """How often."""
+    return sum(text.startswith(words) for text in texts(craft.commands))
 
 
 @pytest.mark.parametrize(("wrong", "well", "reason"), WRONG.values(), ids=[*WRONG])
@@ -71,9 +72,8 @@ def test_what_is_not_seen_or_nearer_stops_it_on_its_path_until_that_is_over(
     leg, reference = craft.state.leg, craft.state.reference
     craft.take(well(craft))
     assert craft.state.path.stop is None
-    for _ in range(3):
-        craft.take(wrong(craft))
-    assert told(craft, reason) == 1
+    craft.take(*3 * [wrong(craft)])
+    assert said(craft, reason.text) == 1
     before = len(craft.sent(Setpoint))
     assert craft.fly_to(Phase.HOLDING).state.reason is reason
     brakes_m = 0.5 * reference.speed_m_s**2 / LIMITS.acceleration_m_s2
@@ -104,20 +104,34 @@ def test_what_stays_wrong_is_waited_for_a_while_and_then_it_flies_back(
     assert np.hypot(*craft.here[:2]) < 100.0
 
 
-@pytest.mark.parametrize("blind", [False, True])
-def test_something_in_its_way_stops_it_at_once(blind: bool) -> None:
+def test_something_in_its_way_stops_it_at_once_and_what_is_beside_behind_or_gone_stops_nobody() -> (
+    None
+):
     """Also if it stops for want of sight already: it is planned anew from there, and told once."""
-    craft = flying(MISSION)
-    if blind:
-        craft.take(dead(craft))
-    meets = seen(craft, Sight.SEES, on_path(craft, 6000.0))
+    craft = flying(MISSION).run_for(10.0)
+    north, east = on_path(craft, 6000.0)
+    aside_m = SETTINGS.safety_distance_m + LIMITS.tracking_error_m + 2.0 * CELL_M
+    behind = on_path(craft, -craft.state.reference.length_m)
+    assert np.hypot(*np.subtract(on_path(craft, 0.0), behind)) > aside_m
+    craft.take(seen(craft, Sight.SEES, (north - aside_m, east + aside_m), behind))
+    craft.take(seen(craft, Sight.NOTHING_THERE))
+    assert craft.state.path.stop is None
+    craft.take(dead(craft))
+    meets = seen(craft, Sight.SEES, (north, east))
     craft.take(meets)
     stop = craft.state.path.stop
     assert stop.reason is Reason.NEW_THREAT
-    assert told(craft, Reason.SENSOR_SILENT) == blind
     craft.take(meets)
     assert craft.state.path.stop is stop
+    assert said(craft, Reason.SENSOR_SILENT.text) == 1
     assert craft.fly_to(Phase.HOLDING).state.reason is Reason.NEW_THREAT
+
+
+def test_a_sensor_that_comes_to_see_less_in_flight_is_told_of_once() -> None:
+    craft = flying(MISSION)
+    for sees_m in (10_000.0, 20_000.0, 10_000.0):
+        craft.take(replace(seen(craft), sees_m=sees_m))
+    assert said(craft, "sensor sees 10000 m of R = 20000 m") == 1
 
 
 def test_where_it_is_better_to_turn_back_it_stops_on_its_leg_and_plans_from_there() -> None:
@@ -148,18 +162,6 @@ def test_where_its_leg_is_left_is_known_after_a_restart() -> None:
     path.leg = replace(path.leg, p_prog=asked)
     leg = craft.restart().state.leg
     assert (leg.p_prog, leg.successor_at_m) == (asked, asked.length_m)
-
-
-def test_something_beside_behind_or_gone_stops_nobody() -> None:
-    craft = flying(MISSION).run_for(10.0)
-    north, east = on_path(craft, 6000.0)
-    aside_m = SETTINGS.safety_distance_m + LIMITS.tracking_error_m + 2.0 * CELL_M
-    behind = on_path(craft, -craft.state.reference.length_m)
-    assert np.hypot(*np.subtract(on_path(craft, 0.0), behind)) > aside_m
-    craft.take(seen(craft, Sight.SEES, (north - aside_m, east + aside_m), behind))
-    assert craft.state.path.stop is None
-    craft.take(seen(craft, Sight.NOTHING_THERE))
-    assert craft.state.path.stop is None
 
 
 def test_a_copter_behind_its_reference_stops_as_far_from_where_it_is_itself() -> None:

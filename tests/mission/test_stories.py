@@ -16,6 +16,7 @@ from made_up import (
     Craft,
     Step,
     arrived,
+    backtrack,
     flying,
     hears,
     holding_mode_taken,
@@ -34,11 +35,12 @@ from made_up import (
 from made_up_plans import not_planned, planned, straight
 from renewed import replace
 
-from companion.mission import changes, events, phases
+from companion.mission import changes, checkpoint, events, phases
+from companion.mission.decisions import Context
 from companion.mission.events import Landed, Mode, OrderKind, Outcome, Setpoint
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.mission.phases import Phase, Reason
-from companion.planner.request import Backtrack, NotPlanned, PlanOutcome, PlanRequest, Refusal
+from companion.planner.request import NotPlanned, PlanOutcome, PlanRequest, Refusal
 
 PAUSE, CONTINUE, RETURN = OrderKind.PAUSE, OrderKind.CONTINUE, OrderKind.RETURN
 START, LANDS = OrderKind.START, OrderKind.LAND
@@ -61,25 +63,18 @@ def back_as_flown(request: PlanRequest) -> PlanOutcome:
     """A planner that finds every way; the way back ends where the flown path begins."""
     if request.flown is None:
         return planned(request)
-    back = straight(request.scan_nea_m, request.flown[0].control_nea_m[0])
-    return Backtrack(
-        plan_id=request.plan_id, subpaths=(back,), through=(False,), reaches_start=True
-    )
+    return backtrack(request, straight(request.scan_nea_m, request.flown[0].control_nea_m[0]))
 
 
 def taken_over(of: Mission = AWAY) -> Craft:
     """Started in the air, 3.6 km from home."""
-    craft = Craft(of, plan=back_as_flown)
-    craft.armed, craft.mode, craft.landed, craft.here = True, Mode.GUIDED, Landed.IN_AIR, OUT_NEA_M
+    craft = Craft(of, plan=back_as_flown).aloft(Mode.GUIDED)
+    craft.here = OUT_NEA_M
     return craft
 
 
 def closed_in(request: PlanRequest) -> NotPlanned:
     return NotPlanned(plan_id=request.plan_id, refusal=Refusal.START_NEAR_TERRAIN)
-
-
-def lands_for_want_of_plans() -> Craft:
-    return Craft(replace(NEAR, fallback=Fallback.LAND), plan=closed_in).fly_to(LANDING)
 
 
 def landing_begun() -> Craft:
@@ -120,10 +115,36 @@ def only_back(request: PlanRequest) -> PlanOutcome:
     return not_planned(request) if request.flown is None else home_or_on(request)
 
 
+def back_by(share: float) -> Callable[[PlanRequest], PlanOutcome]:
+    """So much of the way back is proven, and no way home from there."""
+
+    def plan(request: PlanRequest) -> PlanOutcome:
+        if request.flown is None:
+            is_home = math.hypot(*request.target_ne_m) < 10.0
+            return not_planned(request) if is_home else planned(request)
+        north, east, up = here = request.scan_nea_m
+        part = straight(here, ((1.0 - share) * north, (1.0 - share) * east, up))
+        return backtrack(request, *([part] if share else []), reaches_start=False)
+
+    return plan
+
+
+def without_memory(craft: Craft) -> None:
+    """Its companion dies, and of its checkpoint nothing can be read."""
+    number = craft.state.flight.plan_id
+    craft.resumes(
+        checkpoint.without_checkpoint("torn", system_id=1, time_s=craft.now_s, plan_id=number)
+    )
+
+
+def without_go(craft: Craft) -> None:
+    craft.context = Context(mission=craft.context.mission, seed=1)
+
+
 def answered(craft: Craft) -> None:
     """The planner answers what it was asked last."""
     outcome = home_or_on(craft.sent(events.Plan)[-1].request)
-    craft.obey(craft.take(events.PlanReady(time_s=craft.now_s, outcome=outcome)))
+    craft.hear(events.PlanReady(time_s=craft.now_s, outcome=outcome))
 
 
 def home_is_here(craft: Craft) -> None:
@@ -208,6 +229,17 @@ def ends(*why: Reason) -> Callable[[Craft], bool]:
     return check
 
 
+def ends_as(outcome: Outcome, why: str) -> Callable[[Craft], bool]:
+    return lambda craft: (craft.end().outcome, craft.end().reason) == (outcome, why)
+
+
+def asks_for_the_whole_way(craft: Craft) -> bool:
+    """That it has flown, for its way back."""
+    flown = craft.sent(events.Plan)[-1].request.flown or ()
+    apart_m = sum(each.until_m - each.from_m for each in flown) - math.hypot(*craft.here[:2])
+    return abs(apart_m) < 0.01 * math.hypot(*craft.here[:2])
+
+
 def left_alone(craft: Craft) -> bool:
     """For a while from now on."""
     return not moving(craft.during(150.0))
@@ -255,6 +287,7 @@ RETURNS_AGAIN = (
     *(PAUSE, 2.0, CONTINUE, DONE, at_its_start),
     lambda it: it.end().reason == f"landed: {Reason.RETURN_ASKED.text}",
 )
+TAKES_OFF = until(lambda craft: craft.sent(events.TakeOff))
 ASKS_BACK = until(lambda craft: getattr(craft.state.stage, "backtrack", None))
 PAUSED_BEFORE = (RETURN, now(plan=lambda _: None), ASKS_BACK, PAUSE, now(plan=home_or_on), 5.0)
 STAYS_PAUSED = (300.0, IS_PAUSED, CONTINUE, RETURNING)
@@ -319,6 +352,17 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         asked_for_no_way_home, says("home: it lies outside the map")),
     "home is told anew after a reboot": (lambda: flying(AWAY, plan=back_as_flown),
         20.0, Craft.reboot, home_is_here, FLYING, RETURN, DONE, at_its_start),
+    "none of the way back is proven, and no way home": (
+        lambda: flying(AWAY, plan=back_by(0.0)),
+        20.0, RETURN, DONE, lambda it: it.mode is Mode.RETURN and RETURNING not in it.phases,
+        ends_as(Outcome.STOPPED, "its autopilot returns by itself: told to return")),
+    "half of the way back is proven, and no way home": (
+        lambda: flying(AWAY, plan=back_by(0.5)),
+        20.0, RETURN, DONE, lambda it: it.mode is Mode.RETURN and RETURNING in it.phases,
+        ends_as(Outcome.STOPPED, "its autopilot returns by itself: told to return")),
+    **{f"told to return after a {again.__name__}, found in {found.value}": (under_way(),
+        30.0, again, now(mode=found), 20.0, RETURN, ASKS_BACK, asks_for_the_whole_way)
+        for again in (Craft.restart, Craft.reboot) for found in (Mode.GUIDED, Mode.HOLD)},
     # a pause gives back what it broke off
     "a return paused at once": (under_way(), RETURN, *RETURNS_AGAIN),
     "a return paused as it brakes": (under_way(), RETURN, 1.0, *RETURNS_AGAIN),
@@ -370,12 +414,32 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "a reboot at its target": (arrived, Craft.reboot, PREPARING, DONE, arrives),
     "a restart before it has lifted off": (lambda: Craft(NEAR),
         Phase.TAKING_OFF, Craft.restart, DONE, arrives),
+    "without its memory": (under_way(),
+        30.0, without_memory, DONE, arrives, says("without memory"), says("torn")),
+    "without its memory on the ground": (Craft,
+        without_memory, DONE, ends(Reason.GROUNDED), told_nothing),
+    "armed before a restart, and nobody says go": (lambda: Craft().fly_to(Phase.ARMING),
+        until(lambda it: it.armed), without_go, Craft.restart, DONE,
+        lambda it: it.state.reason is Reason.NOT_READY and not it.sent(events.TakeOff),
+        lambda it: len(it.sent(events.Disarm)) > 0),
     "a restart in its landing": (landing_begun, Craft.restart, DONE, is_down),
     "a reboot in its landing": (landing_begun, Craft.reboot, DONE, is_down),
     "a landing asked for in vain": (lambda: arrived(LAND),
         now(obeys_modes=False), LANDING, now(mode=Mode.GUIDED), *LANDS_LATE),
     "a landing asked for in vain in a hold": (lambda: arrived(LAND),
         now(obeys_modes=False), LANDING, now(mode=Mode.HOLD), *LANDS_LATE),
+    "it does not follow": (lambda: flying(AWAY),
+        now(follows=False, velocity=(0.0, 0.0, 0.0)), Reason.NOT_FOLLOWING, DONE),
+    "its autopilot says that it flies elsewhere": (lambda: flying(AWAY),
+        *6 * (hears(events.Echo, position_nea_m=OUT_NEA_M), 0.5), says(Reason.NOT_TAKEN.text)),
+    "it will not arm": (lambda: Craft(NEAR),
+        now(arms=False), DONE, ends(Reason.NOT_ARMED), now(armed=True), 5.0,
+        lambda it: (it.mode, it.here[2]) == (Mode.HOLD, HOME_AMSL_M)),
+    "a take-off that is refused is asked for each second": (lambda: Craft(NEAR),
+        now(takes_off=False), TAKES_OFF, 5.8, lambda it: len(it.sent(events.TakeOff)) == 6),
+    "one that was accepted and does not begin is asked for again": (lambda: Craft(NEAR),
+        now(takes_off=False, accepts=True), TAKES_OFF, 5.8,
+        lambda it: len(it.sent(events.TakeOff)) == 2),
     # a landing that is broken off is held where it is until somebody says go on
     "broken off": (landing_begun, *BROKEN_OFF),
     "broken off after a restart": (landing_begun, Craft.restart, *BROKEN_OFF),
@@ -413,7 +477,7 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         now(obeys_modes=False), 5.0,
         lambda it: it.sent(events.SetMode)[-1] == events.SetMode(mode=Mode.HOLD)),
     "told to land": (under_way(),
-        5.0, LANDS, is_flying, LANDING, lambda it: not any(it.velocity), DONE, is_down,
+        5.0, LANDS, is_flying, LANDING, lambda it: math.hypot(*it.velocity) < 0.5, DONE, is_down,
         lambda it: it.end().reason == "landed: told to land"),
     "told to land without a position": (holding_without_fix, LANDS, LANDING),
     # a fence that has changed is held for until it is read
@@ -467,8 +531,9 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     # it is stopped
     "stopped before it was told anything": (Craft, hears(events.StopAsked), DONE, told_nothing),
     "stopped while it prepares": (preparing, hears(events.StopAsked), DONE, told_nothing),
-    "stopped in a landing for want of plans": (lands_for_want_of_plans,
-        hears(events.StopAsked), DONE, ends(Reason.STOPPED)),
+    "stopped in a landing for want of plans": (
+        lambda: Craft(replace(NEAR, fallback=Fallback.LAND), plan=closed_in),
+        LANDING, hears(events.StopAsked), DONE, ends(Reason.STOPPED)),
     # what falls meanwhile is never armed again
     "fallen in a reboot": (under_way(), Craft.reboot, FALLEN, left_alone, DONE),
     "fallen in a restart": (under_way(), Craft.restart, FALLEN, left_alone, DONE),
