@@ -30,7 +30,6 @@ from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import NO_ANSWER, Scan, empty_map
 
 HOME_AMSL_M = 3000.0
-TAKE_OFF_AMSL_M = 3030.0  # floor 3000 m and twice the tracking error of 15 m
 TICK_S = 0.1
 Kind = TypeVar("Kind", bound=Command)
 Taken = tuple[State, Event, State, list[Command]]
@@ -80,18 +79,15 @@ def short(traits: VehicleTraits, **changes: Any) -> Mission:
     return replace(mission, **changes)
 
 
-TRAITS = [each.traits for each in ALL]
-
-
-def each_of(*traits: VehicleTraits) -> pytest.MarkDecorator:
+def of_each(counts: Callable[[VehicleTraits], bool]) -> pytest.MarkDecorator:
     """A test of each of these vehicles."""
+    traits = [each.traits for each in ALL if counts(each.traits)]
     return pytest.mark.parametrize("traits", traits, ids=lambda each: each.name)
 
 
-EACH = each_of(*TRAITS)
-COPTERS = each_of(*(each for each in TRAITS if each.hovers))
-PLANES = each_of(*(each for each in TRAITS if not each.hovers))
-HOLDS_FOR_SETPOINTS = each_of(*(each for each in TRAITS if each.needs_setpoints_before_offboard))
+EACH = of_each(lambda _: True)
+PLANES = of_each(lambda traits: not traits.hovers)
+HOLDS_FOR_SETPOINTS = of_each(lambda traits: traits.needs_setpoints_before_offboard)
 
 # --- what was said
 
@@ -140,7 +136,7 @@ def status(time_s: float, mode: Mode = Mode.GUIDED, *, armed: bool = True) -> Ve
 
 
 def position(
-    time_s: float, at: Vector = (0.0, 0.0, TAKE_OFF_AMSL_M), velocity: Vector = (0.0, 0.0, 0.0)
+    time_s: float, at: Vector = (0.0, 0.0, 3030.0), velocity: Vector = (0.0, 0.0, 0.0)
 ) -> events.Position:
     return events.Position(time_s=time_s, position_nea_m=at, velocity_nea_m_s=velocity)
 
@@ -317,11 +313,6 @@ class Craft:
         other.steps, other.later = [*self.steps], [*self.later]
         return other
 
-    def is_taken(self, mode: Mode, *, failsafe: bool = False) -> Self:
-        """From now on another has it, in that mode."""
-        self.mode, self.failsafe, self.obeys_modes = mode, failsafe, False
-        return self
-
     def restart(self) -> Self:
         """The companion dies and is started again from its checkpoint."""
         return self.resumes(json.loads(json.dumps(checkpoint.values_of(self.state))))
@@ -481,81 +472,6 @@ def once(fly: Callable[..., Craft]) -> Callable[..., Craft]:
     return again
 
 
-# --- how a test begins
-
-
-def calm(traits: VehicleTraits, plan: Planner = short_legs, **changes: Any) -> Craft:
-    """A short mission of such a vehicle, on the ground."""
-    return Craft(short(traits, **changes), plan=plan, traits=traits)
-
-
-@once
-def led(traits: VehicleTraits, **changes: Any) -> Craft:
-    """The same some way along its first leg."""
-    return calm(traits, **changes).run_until(lambda it: it.state.reference.length_m > 60.0)
-
-
-@once
-def preparing() -> Craft:
-    """Waiting for a fix on the ground."""
-    craft = Craft()
-    craft.fix = False
-    return craft.fly_to(Phase.PREPARING)
-
-
-@once
-def ready() -> Craft:
-    """It waits for somebody who says go."""
-    return Craft(NEAR, go=False).fly_to(Phase.READY)
-
-
-@once
-def flying(of: Mission = MISSION, **keywords: Any) -> Craft:
-    """On its first leg, at speed."""
-    craft = Craft(of, **keywords).fly_to(Phase.FLYING)
-    return craft.run_until(lambda craft: craft.state.reference.speed_m_s > 100.0)
-
-
-@once
-def holding_without_plan() -> Craft:
-    return Craft(plan=not_planned).fly_to(Phase.HOLDING)
-
-
-def holding_mode_taken() -> Craft:
-    return flying().is_taken(Mode.OTHER).fly_to(Phase.HOLDING)
-
-
-@once
-def holding_without_fix(of: Mission = MISSION) -> Craft:
-    craft = flying(of)
-    craft.fix = False
-    return craft.fly_to(Phase.HOLDING)
-
-
-@once
-def arrived(of: Mission = NEAR) -> Craft:
-    return Craft(of).fly_to(Phase.ARRIVED)
-
-
-@once
-def landing() -> Craft:
-    return arrived(LAND).fly_to(Phase.LANDING)
-
-
-SITUATIONS: dict[str, Callable[[], Craft]] = {
-    "waiting": Craft,
-    "preparing": preparing,
-    "ready": ready,
-    "arming": lambda: Craft().fly_to(Phase.ARMING),
-    "taking off": lambda: Craft().fly_to(Phase.TAKING_OFF),
-    "flying": lambda: flying(AWAY),
-    "no plan": holding_without_plan,
-    "taken": holding_mode_taken,
-    "no fix": holding_without_fix,
-    "arrived": arrived,
-    "landing": landing,
-}
-
 # --- what happens to it, a step of a story each
 
 Step = events.OrderKind | Phase | Reason | float | Callable[[Craft], object]
@@ -608,3 +524,49 @@ def told(craft: Craft, *script: Step) -> Craft:
         else:
             assert step(craft) is not False, (step, craft.phase, craft.state.reason)
     return craft
+
+
+# --- how a test begins
+
+
+def calm(traits: VehicleTraits, plan: Planner = short_legs, **changes: Any) -> Craft:
+    """A short mission of such a vehicle, on the ground."""
+    return Craft(short(traits, **changes), plan=plan, traits=traits)
+
+
+@once
+def led(traits: VehicleTraits, **changes: Any) -> Craft:
+    """The same some way along its first leg."""
+    return calm(traits, **changes).run_until(lambda it: it.state.reference.length_m > 60.0)
+
+
+@once
+def flying(of: Mission = MISSION, **keywords: Any) -> Craft:
+    """On its first leg, at speed."""
+    craft = Craft(of, **keywords).fly_to(Phase.FLYING)
+    return craft.run_until(lambda craft: craft.state.reference.speed_m_s > 100.0)
+
+
+def holding_without_fix(of: Mission = MISSION) -> Craft:
+    return told(flying(of), now(fix=False), Phase.HOLDING)
+
+
+@once
+def arrived(of: Mission = NEAR) -> Craft:
+    return Craft(of).fly_to(Phase.ARRIVED)
+
+
+TAKEN = now(mode=Mode.OTHER, obeys_modes=False)
+SITUATIONS: dict[str, Callable[[], Craft]] = {
+    "waiting": Craft,
+    "preparing": lambda: told(Craft(), now(fix=False), Phase.PREPARING),
+    "ready": lambda: Craft(NEAR, go=False).fly_to(Phase.READY),
+    "arming": lambda: Craft().fly_to(Phase.ARMING),
+    "taking off": lambda: Craft().fly_to(Phase.TAKING_OFF),
+    "flying": lambda: flying(AWAY),
+    "no plan": lambda: Craft(plan=not_planned).fly_to(Phase.HOLDING),
+    "taken": lambda: told(flying(), TAKEN, Phase.HOLDING),
+    "no fix": holding_without_fix,
+    "arrived": arrived,
+    "landing": lambda: arrived(LAND).fly_to(Phase.LANDING),
+}

@@ -17,7 +17,6 @@ from made_up import (
     moving,
     now,
     order_of,
-    ready,
     tell,
     texts,
     told,
@@ -60,7 +59,7 @@ LOSSES: dict[str, Callable[[Craft], object]] = {
 @pytest.mark.parametrize("why", LOSSES)
 def test_a_check_that_fails_while_it_waits_is_told_and_a_go_refused_with_it(why: str) -> None:
     """It does not end: somebody can mend it."""
-    craft = ready()
+    craft = SITUATIONS["ready"]()
     LOSSES[why](craft)
     craft.run_until(lambda craft: craft.phase is Phase.PREPARING, 5.0)
     assert f"not ready any more: {why}" in texts(craft.commands)

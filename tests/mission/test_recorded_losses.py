@@ -107,12 +107,10 @@ def mode_told(of: Recording, message: Any) -> Mode | None:
 
 
 def mode_asked(of: Recording, message: Any) -> Mode | None:
-    if message.get_type() != "COMMAND_LONG" or message.command != wire.MAV_CMD_DO_SET_MODE:
+    if getattr(message, "command", None) != wire.MAV_CMD_DO_SET_MODE:
         return None
-    number = int(message.param2)
-    if of is PX4:
-        number = number << 16 | int(message.param3) << 24
-    return of.autopilot.modes.mode_of(number)
+    main, sub = int(message.param2), int(message.param3)
+    return of.autopilot.modes.mode_of(main << 16 | sub << 24 if of is PX4 else main)
 
 
 # --- a session that takes over in flight
@@ -140,10 +138,8 @@ def on_route(fault: Fault) -> Session:
 class Flown:
     """What the session did, and when."""
 
-    sent: list[tuple[float, Any]] = field(default_factory=list)
-    sent_to_another: list[tuple[float, Any]] = field(default_factory=list)
-    """While the heartbeats of the recording tell another mode, after it was guided."""
-    was_by_another: bool = False
+    sent: list[tuple[float, Any, bool]] = field(default_factory=list)
+    """Also whether the heartbeats of the recording told another mode then, after guided mode."""
     modes: list[tuple[float, Mode]] = field(default_factory=list)
     """Those that it asked for."""
     planned_s: list[float] = field(default_factory=list)
@@ -151,7 +147,7 @@ class Flown:
     @property
     def leads_s(self) -> list[float]:
         """When the vehicle was sent a setpoint."""
-        return [at_s for at_s, message in self.sent if message.get_type() in LEADS]
+        return [at_s for at_s, message, _ in self.sent if message.get_type() in LEADS]
 
 
 @functools.cache
@@ -165,11 +161,12 @@ def flown(fault: Fault, obeys: bool) -> Flown:
     answer: tuple[float, PlanOutcome] | None = None
     heard_s, guided, by_another = fault.from_s, False, False
     for at_s, message in messages(of):
+        mode, was_by_another = mode_told(of, message), by_another
         if at_s > fault.end_s or sender(message) == COMPANION:
             continue
-        mode = mode_told(of, message)
-        guided |= mode is Mode.GUIDED
-        by_another = guided and mode is not Mode.GUIDED if mode else by_another
+        if mode is not None:
+            guided |= mode is Mode.GUIDED
+            by_another = guided and mode is not Mode.GUIDED
         if at_s < fault.from_s:
             continue
         frame = bytes(message.get_msgbuf())
@@ -183,12 +180,10 @@ def flown(fault: Fault, obeys: bool) -> Flown:
         else:
             session.silence(at_s - heard_s)
         out = session.run()
-        told = [(at_s, reader.decode(bytearray(packed))) for packed in out.frames]
-        it.sent += told
-        it.was_by_another |= by_another
-        it.sent_to_another += told if by_another and mode is None else []
-        asked = (mode_asked(of, each) for _, each in told)
-        it.modes += [(at_s, each) for each in asked if each is not None]
+        for told in (reader.decode(bytearray(packed)) for packed in out.frames):
+            it.sent.append((at_s, told, by_another and was_by_another))
+            if (asked := mode_asked(of, told)) is not None:
+                it.modes.append((at_s, asked))
         if out.plan is not None:
             it.planned_s.append(at_s)
             answer = (at_s + 0.5, planned(out.plan, 1000.0))  # which nobody flies
@@ -227,8 +222,9 @@ def test_it_lets_go_asks_for_hold_and_begins_nothing_at_a_wrong_position_or_in_a
         assert not [at_s for at_s in begun_s if since_s + SEEN_S < at_s < until_s]
     again = [at_s for at_s in it.leads_s if at_s > right_s]
     assert min(again, default=math.inf) > right_s + TRUSTED_AGAIN_S
-    assert it.was_by_another
-    for at_s, message in it.sent_to_another:
+    to_another = [(at_s, message) for at_s, message, by_another in it.sent if by_another]
+    assert to_another
+    for at_s, message in to_another:
         kind, command = message.get_type(), getattr(message, "command", ASKS[0])
         acts = kind in CHANGES or (kind.startswith("COMMAND_") and command not in ASKS)
         assert not acts, (at_s, message)

@@ -4,6 +4,7 @@ Each step is an order, how long it flies on, until which phase or reason, or wha
 that says no is a law that is broken.  What holds at every step of any flight: `watch`.
 """
 
+import itertools
 import math
 from collections.abc import Callable
 
@@ -13,37 +14,39 @@ from made_up import (
     HOME_AMSL_M,
     LAND,
     NEAR,
+    SITUATIONS,
+    TAKEN,
     Craft,
     Step,
     arrived,
     backtrack,
     flying,
     hears,
-    holding_mode_taken,
     holding_without_fix,
     home_or_on,
-    landing,
     moving,
     now,
     only_the_first,
     order_of,
-    preparing,
-    ready,
     texts,
     told,
+    warnings,
 )
 from made_up_plans import not_planned, planned, straight
 from renewed import replace
 
 from companion.mission import changes, checkpoint, events, phases
+from companion.mission.battery import battery_lasts
 from companion.mission.decisions import Context
 from companion.mission.events import Landed, Mode, OrderKind, Outcome, Setpoint
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.mission.phases import Phase, Reason
+from companion.mission.stopped import FAILSAFE_OVER
 from companion.planner.request import NotPlanned, PlanOutcome, PlanRequest, Refusal
 
 PAUSE, CONTINUE, RETURN = OrderKind.PAUSE, OrderKind.CONTINUE, OrderKind.RETURN
 START, LANDS = OrderKind.START, OrderKind.LAND
+preparing, ready = SITUATIONS["preparing"], SITUATIONS["ready"]
 READY, HOLDING, FLYING, DONE = Phase.READY, Phase.HOLDING, Phase.FLYING, Phase.DONE
 LANDING, RETURNING, PREPARING = Phase.LANDING, Phase.RETURNING, Phase.PREPARING
 ELSEWHERE = ((8_000.0, 2_000.0), (2_000.0, 8_000.0))
@@ -78,7 +81,7 @@ def closed_in(request: PlanRequest) -> NotPlanned:
 
 
 def landing_begun() -> Craft:
-    return landing().run_until(lambda craft: craft.mode is Mode.LAND).run_for(3.0)
+    return SITUATIONS["landing"]().run_until(lambda craft: craft.mode is Mode.LAND).run_for(3.0)
 
 
 # --- what happens
@@ -89,7 +92,6 @@ def until(done: Callable[[Craft], object], limit_s: float = 3600.0) -> Callable[
 
 
 LOW = now(battery=0.1)
-TAKEN = now(mode=Mode.OTHER, obeys_modes=False)
 GIVEN_BACK = now(mode=Mode.GUIDED, obeys_modes=True)
 FALLEN = now(mode=Mode.OTHER, armed=False, landed=Landed.ON_GROUND)
 LED_ON = until(lambda craft: craft.state.reference.length_m > 2_000.0)
@@ -240,9 +242,8 @@ def asks_for_the_whole_way(craft: Craft) -> bool:
     return abs(apart_m) < 0.01 * math.hypot(*craft.here[:2])
 
 
-def left_alone(craft: Craft) -> bool:
-    """For a while from now on."""
-    return not moving(craft.during(150.0))
+def is_left_alone_for(seconds: float) -> Callable[[Craft], bool]:
+    return lambda craft: not moving(craft.during(seconds))
 
 
 def is_told_50_m_off(craft: Craft) -> bool:
@@ -256,8 +257,14 @@ def is_led_nowhere(craft: Craft) -> bool:
     return not [c for c in craft.during(30.0) if isinstance(c, Setpoint | events.Plan)]
 
 
-def says(words: str) -> Callable[[Craft], bool]:
-    return lambda craft: words in " ".join(texts(craft.commands))
+def says(words: str, times: int | None = None) -> Callable[[Craft], bool]:
+    """So often; or at all."""
+
+    def check(craft: Craft) -> bool:
+        said = sum(words in text for text in texts(craft.commands))
+        return said > 0 if times is None else said == times
+
+    return check
 
 
 def refuses(kind: OrderKind, why: str) -> Callable[[Craft], bool]:
@@ -271,10 +278,7 @@ def refuses(kind: OrderKind, why: str) -> Callable[[Craft], bool]:
     return check
 
 
-def says_once(words: str) -> Callable[[Craft], bool]:
-    return lambda craft: sum(words in text for text in texts(craft.commands)) == 1
-
-
+LEFT_ALONE = is_left_alone_for(150.0)
 IS_PAUSED, UNREAD = holds_for(Reason.PAUSED), holds_for(Reason.FENCE_UNREAD)
 BACK, PLANS = says(": flying back, then home"), says(": planning a way home")
 EMPTY_ONCE = (hears(events.Battery, remaining=0.0), 2.0, hears(events.Battery, remaining=0.0), 2.5)
@@ -457,10 +461,16 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "its failsafe lands it after it was held": (flying,
         now(estimator=False), HOLDING, LANDS_BY_ITSELF, DONE,
         ends(Reason.DISARMED, Reason.FAILSAFE, Reason.ESTIMATOR)),
+    **{f"its failsafe is over{when}": (lambda: flying(AWAY),
+        now(mode=Mode.RETURN, failsafe=True, obeys_modes=False), HOLDING, *again, Reason.FAILSAFE,
+        now(fix=False), 5.0, now(failsafe=False, mode=Mode.HOLD), 5.0, says(FAILSAFE_OVER, 0),
+        now(fix=True), is_left_alone_for(100.0), says(FAILSAFE_OVER, 1),
+        holds_for(Reason.FAILSAFE), now(obeys_modes=True), START, DONE, arrives)
+        for when, again in (("", ()), (" after a restart", (Craft.restart, 20.0)))},
     # orders
     "paused for as long as it takes": (under_way(),
         PAUSE, HOLDING, 400.0, IS_PAUSED, CONTINUE, FLYING),
-    "started where a pilot had it": (holding_mode_taken,
+    "started where a pilot had it": (SITUATIONS["taken"],
         5.0, now(obeys_modes=True), START, 3.0, lambda it: it.mode is Mode.GUIDED, FLYING),
     "other targets, and then none": (under_way(),
         hears(events.TargetsChanged, targets_ne_m=ELSEWHERE),
@@ -498,7 +508,7 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         LOW, Reason.BATTERY_LOW, FENCE_CHANGES, 60.0, lambda it: it.phase is not HOLDING),
     # who says go, and to what
     "it is ready for as long as it takes": (ready,
-        200.0, told_nothing, says_once("waits for go"), START, Phase.TAKING_OFF,
+        200.0, told_nothing, says("waits for go", 1), START, Phase.TAKING_OFF,
         lambda it: len(it.sent(events.Arm)) > 0),
     "go was said": (lambda: Craft(NEAR), Phase.ARMING, lambda it: not says("waits for go")(it)),
     "its parameters are refused": (preparing,
@@ -513,7 +523,7 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         hears(events.Prepared, item=events.Item.CHECKS), READY, START),
     "somebody arms it after a reboot, and keeps it": (lambda: Craft().fly_to(Phase.ARMING),
         until(lambda it: it.state.armed_by_us), Craft.reboot, now(armed=True, mode=Mode.OTHER),
-        left_alone, DONE, ends(Reason.ARMED_ALREADY)),
+        LEFT_ALONE, DONE, ends(Reason.ARMED_ALREADY)),
     "somebody arms what is ready": (ready,
         now(armed=True, mode=Mode.GUIDED), DONE, ends(Reason.ARMED_ALREADY), told_nothing),
     "somebody arms what is not": (ready,
@@ -526,7 +536,7 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         now(arms=False), 2.0, NAMESAKE, DONE, ends(Reason.NOT_ALONE),
         lambda it: not it.sent(events.TakeOff)),
     "another companion in flight": (under_way(),
-        NAMESAKE, *20 * (1.0, GOES_ON), says_once(f"{Reason.NOT_ALONE.text}: end it"),
+        NAMESAKE, *20 * (1.0, GOES_ON), says(f"{Reason.NOT_ALONE.text}: end it", 1),
         DONE, arrives),
     # it is stopped
     "stopped before it was told anything": (Craft, hears(events.StopAsked), DONE, told_nothing),
@@ -535,9 +545,9 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         lambda: Craft(replace(NEAR, fallback=Fallback.LAND), plan=closed_in),
         LANDING, hears(events.StopAsked), DONE, ends(Reason.STOPPED)),
     # what falls meanwhile is never armed again
-    "fallen in a reboot": (under_way(), Craft.reboot, FALLEN, left_alone, DONE),
-    "fallen in a restart": (under_way(), Craft.restart, FALLEN, left_alone, DONE),
-    "fallen in both": (under_way(), Craft.reboot, Craft.restart, FALLEN, left_alone, DONE),
+    "fallen in a reboot": (under_way(), Craft.reboot, FALLEN, LEFT_ALONE, DONE),
+    "fallen in a restart": (under_way(), Craft.restart, FALLEN, LEFT_ALONE, DONE),
+    "fallen in both": (under_way(), Craft.reboot, Craft.restart, FALLEN, LEFT_ALONE, DONE),
 }  # fmt: skip
 
 
@@ -545,3 +555,100 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
 def test_a_flight_ends_as_its_user_expects(story: str) -> None:
     begins, *script = STORIES[story]
     told(begins(), *script)
+
+
+# --- a flight that cannot go on: never in the air, unless the mission or a person says so
+
+HANDED = "its autopilot returns by itself"
+
+
+def no_plan(of: Mission) -> Craft:
+    return flying(of, plan=only_the_first)
+
+
+FAILURES: dict[str, tuple[Callable[[Mission], Craft], *tuple[Step, ...]]] = {
+    "no plan": (no_plan,),
+    "the radar is silent": (no_plan, now(answered=0)),
+    "the battery is empty": (no_plan, now(battery=0.1)),
+    "it does not follow": (flying, now(follows=False)),
+    "no fix": (holding_without_fix,),
+}
+
+
+def fails(failure: str, fallback: Fallback) -> Craft:
+    begins, *script = FAILURES[failure]
+    return told(begins(replace(AWAY, fallback=fallback)), *script)
+
+
+@pytest.mark.parametrize("failure", FAILURES)
+@pytest.mark.parametrize("fallback", Fallback)
+def test_a_flight_that_fails_ends_by_its_fallback_and_that_is_said_before_it_is_done(
+    failure: str, fallback: Fallback
+) -> None:
+    """No way back is proven: its autopilot returns; but what does not know where it is lands."""
+    craft = fails(failure, fallback).fly_to(DONE)
+    assert craft.end().outcome is Outcome.FAILED
+    if fallback is Fallback.HOLD:
+        assert (craft.mode, craft.armed) == (Mode.HOLD, True)
+        assert not {Mode.RETURN, Mode.LAND} & set(modes(craft))
+        return
+    why = craft.state.flight.fallen_back.text + ": it broke floor" * (failure == "no plan")
+    mode, how, end = Mode.LAND, "landing here", "landed"
+    if fallback is Fallback.RETURN and failure != "no fix":
+        mode, how, end = Mode.RETURN, "its autopilot is told to return", HANDED
+    assert f"{why}: {how}" in texts(
+        craft.commands[: craft.commands.index(events.SetMode(mode=mode))]
+    )
+    assert (Mode.RETURN in modes(craft), craft.armed) == (mode is Mode.RETURN,) * 2
+    assert (craft.mode, craft.end().reason) == (mode, f"{end}: {why}")
+
+
+@pytest.mark.parametrize("obeys", [True, False])
+@pytest.mark.parametrize("how", [Fallback.RETURN, Fallback.LAND])
+def test_what_does_not_take_the_one_is_asked_for_the_other_or_to_hold_and_a_person_to_take_over(
+    how: Fallback, obeys: bool
+) -> None:
+    phases = [(Phase.HANDING_OVER, Mode.RETURN), (LANDING, Mode.LAND)]
+    first, second = phases if how is Fallback.RETURN else reversed(phases)
+    script = (first[0], now(obeys_modes=False), second[0], now(obeys_modes=obeys), DONE)
+    craft = told(fails("it does not follow", how), *script)
+    if obeys:
+        assert craft.mode is second[1]
+        assert craft.end().reason.partition(": ")[0] in ("landed", HANDED)
+    else:
+        asked = [mode for mode, _ in itertools.groupby(modes(craft))]
+        assert asked[-3:] == [first[1], second[1], Mode.HOLD]
+        assert craft.end().reason == Reason.NOT_OBEYING.text
+        assert "by hand" in craft.end().remedy
+
+
+@pytest.mark.parametrize("refusal", Refusal)
+def test_a_hold_for_want_of_a_plan_says_why_and_the_end_what_helps(refusal: Refusal) -> None:
+    """In the planner's own words, also if the companion is started again in the landing."""
+    land = replace(AWAY, fallback=Fallback.LAND)
+    craft = Craft(land, plan=lambda asked: NotPlanned(plan_id=asked.plan_id, refusal=refusal))
+    end = told(craft, LANDING, Craft.restart, DONE).end()
+    why, _, remedy = refusal.value.partition("; ")
+    said = Reason.NO_PLAN.text + (f": {why}" if refusal is not Refusal.NOTHING_SAFE else "")
+    assert f"hold: {said}" in warnings(craft.commands)
+    assert (end.outcome, end.reason) == (Outcome.FAILED, f"landed: {said}")
+    assert end.remedy.lower() == f"{remedy}.".lower() != Reason.NO_PLAN.remedy.lower()
+
+
+def test_what_was_flown_of_the_way_back_before_a_pause_is_not_left_to_fly() -> None:
+    back = flying(AWAY, plan=home_or_on)
+    craft = told(back, RETURN, RETURNING, 10.0, PAUSE, HOLDING, 5.0)
+    left_s = math.dist(craft.here[:2], (0.0, 0.0)) / craft.state.task.limits.speed_m_s
+    state = replace(craft.state, vehicle=replace(craft.state.vehicle, battery=1.0))
+    for share, lasts in ((0.98, False), (1.02, True)):
+        mission = replace(AWAY, reserve=0.0, endurance_s=share * left_s)
+        assert battery_lasts(state, mission) is lasts
+
+
+def test_every_reason_says_what_happened_and_what_to_do_in_a_text_of_50_bytes() -> None:
+    texts = [reason.text for reason in Reason]
+    assert len(set(texts)) == len(texts)
+    for reason in Reason:
+        assert len(reason.text.encode()) + len("hold: ") <= 60
+        assert reason.remedy.endswith(".")
+        assert reason.text == reason.text.strip().rstrip(".")

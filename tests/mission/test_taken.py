@@ -13,7 +13,6 @@ from made_up import (
     HOLDS_FOR_SETPOINTS,
     MISSION,
     Craft,
-    calm,
     flying,
     hears,
     moving,
@@ -29,66 +28,16 @@ from companion.mission.events import (
     FenceChanged,
     Mode,
     OrderKind,
-    Outcome,
     Plan,
     StatusText,
     VehicleStatus,
 )
 from companion.mission.phases import Phase, Reason
-from companion.mission.stopped import FAILSAFE_OVER
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.world.zones import CircleZone
 
 BY_ITSELF = (Mode.HOLD, Mode.RETURN, Mode.LAND)
 """Modes that a failsafe selects, and a person may."""
-
-
-def taken(traits: VehicleTraits, mode: Mode, *, failsafe: bool) -> Craft:
-    craft = calm(traits).run_until(lambda it: it.state.leg is not None)
-    return craft.is_taken(mode, failsafe=failsafe).fly_to(Phase.HOLDING)
-
-
-@EACH
-@pytest.mark.parametrize("failsafe", [False, True])
-@pytest.mark.parametrize("mode", [Mode.OTHER, *BY_ITSELF], ids=lambda m: m.value)
-def test_a_mode_is_a_persons_unless_a_failsafe_may_have_selected_it(
-    traits: VehicleTraits, mode: Mode, failsafe: bool
-) -> None:
-    """PX4's hold in a failsafe may be for want of setpoints: that goes first."""
-    craft = taken(traits, mode, failsafe=failsafe)
-    by_itself = failsafe and mode is not Mode.OTHER
-    reasons = [Reason.FAILSAFE if by_itself else Reason.MODE_TAKEN]
-    if by_itself and traits.needs_setpoints_before_offboard and mode is Mode.HOLD:
-        reasons = [Reason.STREAM_LOST, *reasons]
-    craft.run_for(40.0 * (len(reasons) - 1))
-    assert craft.state.taken
-    held = [text for text in texts(craft.commands) if text.startswith("hold: ")]
-    assert held[-len(reasons) :] == [f"hold: {reason.text}" for reason in reasons]
-
-
-@EACH
-@pytest.mark.parametrize("restarts", [False, True])
-def test_when_a_failsafe_is_over_it_says_once_how_to_go_on_and_goes_on_only_then(
-    traits: VehicleTraits, restarts: bool
-) -> None:
-    """That its autopilot holds again does not mean that nobody else flies it; after a restart, too.
-
-    It is said once the position is trusted again.
-    """
-    craft = taken(traits, Mode.RETURN, failsafe=True)
-    told(craft, *(Craft.restart, 20.0, Reason.FAILSAFE) * restarts)
-    told(craft, now(fix=False), 5.0, now(failsafe=False, mode=Mode.HOLD))
-    assert FAILSAFE_OVER not in texts(craft.during(5.0))
-    craft.fix = True
-    later = craft.during(100.0)
-    assert texts(later) == [FAILSAFE_OVER]
-    assert not moving(later)
-    assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.FAILSAFE)
-    told(craft, now(obeys_modes=True), OrderKind.START, Phase.DONE)
-    assert craft.end().outcome is Outcome.ARRIVED
-
-
-# --- by its own fence
 
 
 def drawn(craft: Craft, place_ne_m: tuple[float, ...], radius_m: float) -> FenceChanged:
@@ -117,36 +66,36 @@ def flown_by(traits: VehicleTraits) -> Craft:
     return craft
 
 
-def is_in(mode: Mode) -> Callable[[Craft], object]:
+def is_in(mode: Mode, *, failsafe: bool = False) -> Callable[[Craft], object]:
     """A heartbeat says so."""
-    return hears(VehicleStatus, mode=mode, armed=True)
+    return hears(VehicleStatus, mode=mode, armed=True, failsafe=failsafe)
 
 
 BREACH = hears(FenceBreach)
 TAKES = {
-    **{f"its fence, by {m.value}": ((BREACH, is_in(m)), Reason.FENCE_BREACHED) for m in BY_ITSELF},
-    "its fence, which says so later": ((is_in(Mode.RETURN), BREACH), Reason.FENCE_BREACHED),
+    **{f"a person, by {mode.value}": ((is_in(mode),), Reason.MODE_TAKEN) for mode in BY_ITSELF},
+    "a person, in a failsafe": ((is_in(Mode.OTHER, failsafe=True),), Reason.MODE_TAKEN),
     "a person, inside a fence": ((knows(), is_in(Mode.HOLD)), Reason.MODE_TAKEN),
     "a person, by stick after a breach": ((BREACH, is_in(Mode.OTHER)), Reason.MODE_TAKEN),
     "a person, long after a breach": ((BREACH, 6.0, is_in(Mode.HOLD)), Reason.MODE_TAKEN),
+    "its failsafe": ((is_in(Mode.RETURN, failsafe=True),), Reason.FAILSAFE),
+    **{f"its fence, by {m.value}": ((BREACH, is_in(m)), Reason.FENCE_BREACHED) for m in BY_ITSELF},
     "its fence, some seconds after": ((BREACH, 3.0, is_in(Mode.HOLD)), Reason.FENCE_BREACHED),
+    "its fence, which says so later": ((is_in(Mode.RETURN), BREACH), Reason.FENCE_BREACHED),
 }
 
 
 @EACH
 @pytest.mark.parametrize("who", TAKES)
-def test_a_fence_that_is_said_to_be_breached_takes_it_and_a_person_who_takes_over_is_a_person(
+def test_who_takes_it_has_it_by_name_and_a_word_gives_it_back(
     traits: VehicleTraits, who: str
 ) -> None:
-    """A breach alone is nothing: GF_ACTION may be a warning only.  A word gives it back."""
+    """A breach alone is nothing: GF_ACTION may be a warning only."""
     script, why = TAKES[who]
-    craft = told(flown_by(traits), script[0])
-    assert craft.phase is Phase.HOLDING or BREACH is script[0] or "inside" in who
-    count = len(craft.commands)
-    told(craft, *script[1:])
-    assert craft.state.taken
-    assert craft.state.reason is why
-    assert f"hold: {why.text}" in texts(craft.commands[count:])
+    craft = told(flown_by(traits), *script)
+    assert (craft.state.taken, craft.state.reason) == (True, why)
+    assert f"hold: {why.text}" in texts(craft.commands)
+    assert not moving(craft.steps[-1][3])
     told(craft, OrderKind.START)
     assert craft.state.stage.released_at_s == craft.now_s
 
@@ -174,6 +123,8 @@ def test_px4_tells_a_companion_of_no_fence_but_is_in_it_or_misreads_it_and_in_a_
     assert craft.state.reason is (why if known and around else Reason.STREAM_LOST)
     assert told(craft, reads, 10.0).state.reason is why
     assert craft.state.taken is (why is Reason.FENCE_BREACHED)
+    later = Reason.FAILSAFE if why is Reason.STREAM_LOST else why
+    assert told(craft, 30.0).state.reason is later
 
 
 # --- a fence that is changed in flight; while it is read: `test_stories`

@@ -127,6 +127,8 @@ class Watch:
                 self._setpoint(before, after, command)
             elif isinstance(command, events.Arm | events.TakeOff):
                 self._up(before, command)
+            elif isinstance(command, events.StartScan) and new:
+                self._looks(after)
             elif isinstance(command, events.Plan):
                 assert command.request.plan_id > self.newest, "an old number for a new plan"
                 self.newest = command.request.plan_id
@@ -288,7 +290,8 @@ class Watch:
         if after.path is None:  # ended in this step, and with it the join
             allowed_m += 0.3 * self._joining(before, 1)
         if any(leg is not None and leg.reaches_target for leg in legs):
-            allowed_m += 0.25 * before.task.limits.loiter_radius_m  # a plane passes its target
+            settings, radius_m = before.task.settings, before.task.limits.loiter_radius_m
+            allowed_m += min(settings.safety_distance_m, 0.25 * radius_m)  # a plane passes it
         assert min(beside_m, default=math.inf) <= allowed_m, "led beside every proven path"
 
     def _legs(self, before: State, event: Event, after: State) -> None:
@@ -303,6 +306,16 @@ class Watch:
             if leg is not None:
                 name = _name(leg.subpath)
                 assert name in self.proven, "a leg that nobody has proven, or for an old question"
+
+    def _looks(self, after: State) -> None:
+        """No leg is planned from where the vehicle was sent to stay before it is there."""
+        if after.path is not None or self.last is None or self.context.shadow:
+            return
+        assert self.position is not None
+        apart_m = math.dist(self.position.position_nea_m[:2], self.last.position_nea_m[:2])
+        near_m = 5.0 if self.traits.hovers else self.limits.loiter_radius_m
+        near_m += 0.0 if self.traits.hovers else self.limits.tracking_error_m
+        assert apart_m <= near_m + 1e-5, f"looks for a leg from a place {apart_m:.0f} m away"
 
     def _up(self, before: State, command: events.Arm | events.TakeOff) -> None:
         assert self.landed is Landed.ON_GROUND, f"{command} in the air"
