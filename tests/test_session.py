@@ -268,26 +268,6 @@ def test_heartbeats_alone_do_not_make_time_stand_still(gaps_are_told: bool) -> N
     assert Reason.LINK_LOST.text not in texts(it.fly_to(Phase.FLYING).frames)
 
 
-def test_copies_of_a_heartbeat_do_not_make_time_pass() -> None:
-    it = flying()
-    before_s = it.session.state.now_s
-    for _ in range(5):
-        it.feed(3 * it.vehicle.heartbeat())
-        it.tick()
-    assert it.session.state.now_s == pytest.approx(before_s + 0.5)
-
-
-def test_a_reboot_of_the_vehicle_on_the_ground_does_not_stop_the_companions_clock() -> None:
-    it = pair(lockstep=False)
-    it.vehicle.time_ms = 3_600_000
-    count = len(it.run_for(3.0).frames)
-    it.vehicle = Vehicle(lockstep=False)  # all intervals are gone, time begins again
-    it.vehicle.autopilot.seq = 17
-    it.vehicle.streams_ms = {33: 100}
-    again = {m.get_type() for m in it.run_for(10.0).since(count)}
-    assert again >= {"HEARTBEAT", "COMMAND_LONG"}
-
-
 @pytest.mark.parametrize("copies", [1, 3])
 def test_a_moment_of_a_wrong_time_changes_nothing_of_a_flight(copies: int) -> None:
     """Its position, 11 m to the north, is not believed either."""
@@ -370,18 +350,6 @@ def test_something_that_steps_into_its_way_stops_it_within_a_fifth_of_a_second(
 
 
 # --- another companion with our ids
-
-
-def test_a_link_that_sends_back_what_we_say_is_no_second_companion() -> None:
-    it = flying()
-    for _ in range(200):
-        count = len(it.frames)
-        it.tick()
-        for _ in range(2):
-            it.feed(b"".join(it.frames[count:]))
-    assert it.phase is Phase.FLYING
-    assert not it.session.state.is_duplicate_suspected
-    assert len(it.sent(SETPOINT)) > 200
 
 
 @pytest.mark.parametrize("same_folder", [False, True])

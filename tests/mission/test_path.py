@@ -22,7 +22,6 @@ from made_up import (
     led,
     now,
     position,
-    texts,
     told,
 )
 from made_up_plans import LEG_M
@@ -32,7 +31,6 @@ from companion.mission import events
 from companion.mission.decisions import Turn
 from companion.mission.events import Plan, Setpoint, StartScan
 from companion.mission.following import departs, joined, outside_m, send_setpoint
-from companion.mission.journal import of_change
 from companion.mission.phases import Answered, OnPath, Phase, Reason
 from companion.mission.state import State
 from companion.mission.vehicle_traits import VehicleTraits
@@ -49,17 +47,6 @@ NORTH_EAST = math.sqrt(0.5)
 def flown_m(setpoint: Setpoint) -> float:
     """Its distance from the start."""
     return math.hypot(*setpoint.position_nea_m[:2])
-
-
-def test_targets_are_reached_in_their_order_with_a_stop_at_each() -> None:
-    corners = ((9000.0, 0.0), (9000.0, 9000.0), (0.0, 9000.0))
-    craft = Craft(replace(MISSION, targets_ne_m=corners)).fly_to(Phase.DONE)
-    stops = [
-        after.flight.hover_nea_m[:2]
-        for before, _, after, _ in craft.steps
-        if after.phase is Phase.ARRIVED is not before.phase and after.flight.hover_nea_m
-    ]
-    np.testing.assert_allclose(stops, corners, atol=1e-6)
 
 
 def test_every_leg_is_scanned_for_once_at_p_scan_and_planned_from_p_prog_where_it_goes_over() -> (
@@ -118,18 +105,6 @@ def test_the_reference_waits_for_a_vehicle_that_falls_behind_and_goes_on_when_it
     craft.follows = True
     assert math.hypot(*craft.run_for(70.0).velocity) == pytest.approx(SPEED_M_S)
     assert Phase.HOLDING not in craft.phases
-
-
-def test_a_datagram_that_was_overtaken_or_comes_twice_changes_nothing() -> None:
-    craft = flying()
-    was = position(craft.now_s, craft.here, craft.velocity)
-    assert craft.take(was) == []
-    craft.tick()
-    newest = craft.sent(Setpoint)[-1]
-    sent = [c for c in [*craft.take(was), *craft.tick()] if isinstance(c, Setpoint)]
-    assert sent
-    assert all(flown_m(setpoint) >= flown_m(newest) for setpoint in sent)
-    assert all(setpoint.velocity_nea_m_s[0] >= 0.0 for setpoint in sent)
 
 
 # --- off its path
@@ -202,17 +177,6 @@ def test_who_leaves_where_it_was_proven_to_be_is_noted_and_is_to_stop_or_to_hold
             assert stop is (stops if share > 1.0 else None)
 
 
-def test_who_overshoots_the_end_of_its_path_has_left_it() -> None:
-    """It stops there anyway."""
-    whole_m = cruising().state.leg.subpath.length_m
-    at_end = Reference(length_m=whole_m - 0.5 * ERROR_M, speed_m_s=5.0)
-    path = replace(cruising().state.path, reference=at_end, next_leg=None)
-    for beyond_m in (0.48 * ERROR_M, 0.52 * ERROR_M):
-        left, departs = found_at(path, ALONG, 0.5 * ERROR_M + beyond_m)
-        assert left.outside_m == pytest.approx(max(beyond_m - 0.5 * ERROR_M, 0.0), abs=1e-3)
-        assert (left.stop, departs) == (None, None)
-
-
 @PLANES
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_plane_that_sinks_or_rises_out_of_its_tube_has_left_it(
@@ -250,25 +214,6 @@ def test_who_is_within_a_tracking_error_of_its_path_is_not_outside_of_anything()
             assert far_m == 0.0 or abs(ahead_m) > ERROR_M
     assert inside > 300
     assert outside > 300
-
-
-def test_who_has_left_its_path_stops_says_so_and_goes_on_from_there() -> None:
-    craft = flying().run_for(60.0)
-    legs, craft.follows = craft.state.flight.legs_flown, False
-    for off_m in (*range(18), *range(18, 0, -1), *[0] * 2_000):  # it drifts out, and back
-        told = craft.sent(Setpoint)[-1]
-        craft.here = tuple(np.add(told.position_nea_m, np.multiply(ASIDE, off_m)).tolist())
-        craft.velocity = told.velocity_nea_m_s
-        craft.tick()
-        if craft.state.flight.legs_flown > legs:
-            break
-    assert (craft.state.flight.legs_flown, craft.state.flight.stops) == (legs + 1, 1)
-    assert Reason.BESIDE_PATH in {after.reason for *_, after, _ in craft.steps}
-    assert {after.phase for *_, after, _ in craft.steps[-500:]} <= {Phase.FLYING, Phase.HOLDING}
-    assert any(text.startswith("beside its path, ") for text in texts(craft.commands))
-    entries = [e for before, _, after, _ in craft.steps for e in of_change(before, after)]
-    [left] = [each["left_path_m"] for each in entries if each["kind"] == "path_left"]
-    assert 0.0 < left < 1.01
 
 
 @pytest.mark.parametrize("radius_m", [400.0, 1_000.0, 10_000.0])
@@ -322,43 +267,6 @@ def test_who_joins_a_path_near_its_end_comes_to_rest_without_a_jump(
         assert math.dist(moved, after.position_nea_m) <= 0.25
         assert math.dist(before.velocity_nea_m_s, after.velocity_nea_m_s) <= harder * TICK_S
     assert math.hypot(*sent[-1].velocity_nea_m_s) < 0.1
-
-
-@pytest.mark.parametrize("share", [0.2, 0.8])
-def test_it_rejoins_the_leg_that_is_the_nearer_one_and_has_flown_the_other(share: float) -> None:
-    """The next leg turns off to the right from p_prog of this one."""
-    state, path = cruising().state, deep(cruising().state).path
-    over_at_m = path.leg.successor_at_m
-    begins = path.leg.subpath.pose(over_at_m).position_nea_m
-    aside = begins + np.linspace(0.0, LEG_M, 4)[:, None] * np.array(ASIDE)
-    path.next_leg = replace(path.leg, subpath=Subpath(control_nea_m=aside))
-    for leg, at_m in ((path.leg, share * over_at_m), (path.next_leg, share * LEG_M)):
-        here = leg.subpath.pose(at_m).point_nea_m
-        found = told_nothing(state, here, state.vehicle.velocity_nea_m_s)
-        goes_on = joined(found, path)
-        assert goes_on.leg is leg
-        assert goes_on.reference.length_m == pytest.approx(at_m, abs=0.1)
-        flown_m = [each.until_m for each in found.flight.flown[len(state.flight.flown) :]]
-        assert flown_m == pytest.approx([at_m] if leg is path.leg else [over_at_m, at_m])
-
-
-@PLANES
-@pytest.mark.parametrize("says", [False, True])
-def test_a_plane_found_on_a_circle_about_its_path_goes_on_circling_the_same_place(
-    traits: VehicleTraits, says: bool
-) -> None:
-    """As far as its autopilot says what it circles; else the place next to where it is."""
-    state = led(traits).state
-    curve, radius_m = state.leg.subpath, state.task.limits.loiter_radius_m
-    centre, apart = curve.pose(state.reference.length_m + 40.0), np.add(ASIDE, (0.3, 0.0, 0.0))
-    here = centre.position_nea_m + radius_m * apart / np.linalg.norm(apart)
-    echo = events.Echo(time_s=state.now_s, position_nea_m=centre.point_nea_m) if says else None
-    found = told_nothing(state, tuple(here.tolist()), (0.0, 15.0, 0.0), echo)
-    path = joined(found, state.path)
-    assert path is not None
-    assert path.circling
-    off_m = math.dist(found.flight.hover_nea_m, centre.point_nea_m)
-    assert off_m < 0.5 if says else off_m > 5.0
 
 
 @pytest.mark.parametrize(

@@ -96,7 +96,6 @@ GIVEN_BACK = now(mode=Mode.GUIDED, obeys_modes=True)
 FALLEN = now(mode=Mode.OTHER, armed=False, landed=Landed.ON_GROUND)
 LED_ON = until(lambda craft: craft.state.reference.length_m > 2_000.0)
 TAKES_OVER = until(lambda craft: craft.state.held_for in (*phases.TAKES_OVER, Reason.NO_PLAN))
-FLIES_HOME = until(lambda craft: craft.state.flight.homeward and craft.velocity[0] != 0.0)
 
 
 def no_way_on(craft: Craft) -> None:
@@ -295,7 +294,6 @@ TAKES_OFF = until(lambda craft: craft.sent(events.TakeOff))
 ASKS_BACK = until(lambda craft: getattr(craft.state.stage, "backtrack", None))
 PAUSED_BEFORE = (RETURN, now(plan=lambda _: None), ASKS_BACK, PAUSE, now(plan=home_or_on), 5.0)
 STAYS_PAUSED = (300.0, IS_PAUSED, CONTINUE, RETURNING)
-LANDS_LATE = (5.0, lambda it: it.phase is LANDING, now(obeys_modes=True), DONE, is_down)
 ELSEWHERE_FOUND = (holds_for(Reason.POSITION_ELSEWHERE), lambda it: it.mode is Mode.HOLD)
 BROKEN_OFF = (
     *(now(mode=Mode.GUIDED, failsafe=False), 120.0, IS_PAUSED, is_led_level),
@@ -308,15 +306,9 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "low when it is given back": (under_way(),
         TAKEN, HOLDING, LOW, 10.0, GIVEN_BACK, DONE, is_home),
     "low, and told to return": (under_way(fallback=Fallback.HOLD), LOW, RETURN, DONE, is_home),
-    "low, told to return, and paused": (under_way(fallback=Fallback.LAND),
-        LOW, RETURN, PAUSE, DONE, is_home),
     "low in a pause on the way back": (under_way(fallback=Fallback.LAND),
         RETURN, RETURNING, 10.0, PAUSE, HOLDING, 20.0, IS_PAUSED, LOW, DONE, is_home),
     "low in a pause": (under_way(), PAUSE, HOLDING, 5.0, LOW, *FALLS_BACK, is_home),
-    "low in a pause, to land": (under_way(fallback=Fallback.LAND),
-        PAUSE, HOLDING, 5.0, LOW, *FALLS_BACK, is_down),
-    "low in a pause, to hold": (under_way(fallback=Fallback.HOLD),
-        PAUSE, HOLDING, 5.0, LOW, *FALLS_BACK, lambda it: it.mode is Mode.HOLD),
     "low after it was told to go on": (under_way(),
         now(plan=lambda r: not_planned(r) if r.flown is None else None), Reason.NO_PLAN, PAUSE,
         now(plan=planned), CONTINUE, FLYING, 20.0, LOW, Reason.BATTERY_LOW),
@@ -342,7 +334,6 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "no way on": (taken_over, LED_ON, no_way_on, DONE, is_home, BACK),
     "told to return at once": (taken_over, TAKES_OVER, RETURN, DONE, is_home, PLANS),
     "no way on from the beginning": (taken_over, no_way_on, DONE, is_home, PLANS),
-    "told again": (taken_over, TAKES_OVER, RETURN, FLIES_HOME, RETURN, DONE, is_home),
     "at the last target": (lambda: taken_over(replace(NEAR, end_action=EndAction.RETURN)),
         DONE, is_home, arrives),
     "from where nothing leads away": (taken_over,
@@ -369,11 +360,9 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         for again in (Craft.restart, Craft.reboot) for found in (Mode.GUIDED, Mode.HOLD)},
     # a pause gives back what it broke off
     "a return paused at once": (under_way(), RETURN, *RETURNS_AGAIN),
-    "a return paused as it brakes": (under_way(), RETURN, 1.0, *RETURNS_AGAIN),
     "a return paused on its way": (under_way(), RETURN, 20.0, *RETURNS_AGAIN),
     "a return paused before its answer": (under_way(), *PAUSED_BEFORE, answered, *STAYS_PAUSED),
     "a return paused, and a restart": (under_way(), *PAUSED_BEFORE, Craft.restart, *STAYS_PAUSED),
-    "a return paused, and a reboot": (under_way(), *PAUSED_BEFORE, Craft.reboot, *STAYS_PAUSED),
     "a return for want of plans, paused": (under_way(fallback=Fallback.RETURN),
         now(plan=only_back), RETURNING, 10.0, PAUSE, 1.0, CONTINUE, DONE, at_its_start),
     # plans, links, restarts and reboots
@@ -410,8 +399,6 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         is_found(-50.0), 10.0, is_flying),
     "the link comes back": (lambda: flying(NEAR),
         2.0, LOSES_LINK, Reason.LINK_LOST, PREPARING, DONE, arrives),
-    "the link and the fix come back": (lambda: holding_without_fix(NEAR),
-        2.0, LOSES_LINK, Reason.LINK_LOST, now(fix=True), PREPARING, DONE, arrives),
     "its own hold is no person's after a restart": (under_way(),
         Craft.restart, until(lambda it: it.mode is Mode.HOLD), now(velocity=(0.0, 0.0, 0.0)),
         DONE, arrives),
@@ -429,9 +416,8 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "a restart in its landing": (landing_begun, Craft.restart, DONE, is_down),
     "a reboot in its landing": (landing_begun, Craft.reboot, DONE, is_down),
     "a landing asked for in vain": (lambda: arrived(LAND),
-        now(obeys_modes=False), LANDING, now(mode=Mode.GUIDED), *LANDS_LATE),
-    "a landing asked for in vain in a hold": (lambda: arrived(LAND),
-        now(obeys_modes=False), LANDING, now(mode=Mode.HOLD), *LANDS_LATE),
+        now(obeys_modes=False), LANDING, now(mode=Mode.GUIDED), 5.0,
+        lambda it: it.phase is LANDING, now(obeys_modes=True), DONE, is_down),
     "it does not follow": (lambda: flying(AWAY),
         now(follows=False, velocity=(0.0, 0.0, 0.0)), Reason.NOT_FOLLOWING, DONE),
     "its autopilot says that it flies elsewhere": (lambda: flying(AWAY),
@@ -447,7 +433,6 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     # a landing that is broken off is held where it is until somebody says go on
     "broken off": (landing_begun, *BROKEN_OFF),
     "broken off after a restart": (landing_begun, Craft.restart, *BROKEN_OFF),
-    "broken off after a reboot": (landing_begun, Craft.reboot, *BROKEN_OFF),
     "broken off by a pilot": (landing_begun, TAKEN, Reason.MODE_TAKEN, GIVEN_BACK, *BROKEN_OFF),
     "broken off by a failsafe": (landing_begun,
         now(mode=Mode.RETURN, failsafe=True), Reason.FAILSAFE, *BROKEN_OFF),
@@ -526,9 +511,6 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         LEFT_ALONE, DONE, ends(Reason.ARMED_ALREADY)),
     "somebody arms what is ready": (ready,
         now(armed=True, mode=Mode.GUIDED), DONE, ends(Reason.ARMED_ALREADY), told_nothing),
-    "somebody arms what is not": (ready,
-        now(fix=False), 3.0, now(armed=True, mode=Mode.GUIDED), DONE,
-        ends(Reason.ARMED_ALREADY), told_nothing),
     # another companion of the same vehicle is heard: on the ground both refuse
     "another companion before it says anything": (preparing,
         NAMESAKE, DONE, ends(Reason.NOT_ALONE), told_nothing),
@@ -540,14 +522,12 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         DONE, arrives),
     # it is stopped
     "stopped before it was told anything": (Craft, hears(events.StopAsked), DONE, told_nothing),
-    "stopped while it prepares": (preparing, hears(events.StopAsked), DONE, told_nothing),
     "stopped in a landing for want of plans": (
         lambda: Craft(replace(NEAR, fallback=Fallback.LAND), plan=closed_in),
         LANDING, hears(events.StopAsked), DONE, ends(Reason.STOPPED)),
     # what falls meanwhile is never armed again
     "fallen in a reboot": (under_way(), Craft.reboot, FALLEN, LEFT_ALONE, DONE),
     "fallen in a restart": (under_way(), Craft.restart, FALLEN, LEFT_ALONE, DONE),
-    "fallen in both": (under_way(), Craft.reboot, Craft.restart, FALLEN, LEFT_ALONE, DONE),
 }  # fmt: skip
 
 
