@@ -67,7 +67,7 @@ def texts(frames: list[bytes]) -> list[str]:
 
 
 def test_a_flight_ends_at_its_target_and_every_frame_is_ours_counts_on_and_is_recorded() -> None:
-    """Each position is answered by one setpoint, each second of the vehicle by a heartbeat."""
+    """Each position is answered by one setpoint; heartbeats say in which state it is."""
     it = pair().run_until(lambda it: it.out.end is not None)
     assert (it.end.outcome, it.vehicle.mode, it.out.settled) == (Outcome.ARRIVED, BRAKE, True)
     assert (it.vehicle.north_m, it.vehicle.east_m) == pytest.approx((4000, 3000), abs=1.0)
@@ -76,18 +76,13 @@ def test_a_flight_ends_at_its_target_and_every_frame_is_ours_counts_on_and_is_re
     assert {m.target_system for m in sent if hasattr(m, "target_system")} == {1}
     assert all(frame[0] == 0xFD for frame in it.frames)
     assert all((a.get_seq() + 1) % 256 == b.get_seq() for a, b in pairwise(sent))
-    ours = [(at_s, frame) for at_s, frame in it.record if frame[6] == 195]
-    assert [frame for _, frame in ours] == it.frames
+    assert [frame for _, frame in it.record if frame[6] == 195] == it.frames
     stamps = [time_s for time_s, _ in it.record]
     assert stamps == sorted(stamps)
     assert len(it.record) > len(it.frames) + 100
     answers_ms = [m.time_boot_ms for m in it.sent(SETPOINT)]
     assert len(answers_ms) > 300
     assert set(np.diff(answers_ms)) == {100}
-    beats = [at_s for at_s, frame in ours if messages([frame])[0].get_type() == "HEARTBEAT"]
-    assert beats[0] <= 1.0
-    assert np.diff(beats).min() > 0.89
-    assert np.diff(beats)[1:].max() < 1.11  # a tick is 0.1 s; until it has latched nobody is there
     states = [message.system_status for message in it.sent("HEARTBEAT")]
     assert list(dict.fromkeys(states)) == [wire.MAV_STATE_STANDBY, wire.MAV_STATE_ACTIVE]
     [last] = messages(it.session.farewell().frames)
@@ -352,12 +347,11 @@ def test_something_that_steps_into_its_way_stops_it_within_a_fifth_of_a_second(
 # --- another companion with our ids
 
 
-@pytest.mark.parametrize("same_folder", [False, True])
-def test_the_one_that_came_second_ends_in_the_air_and_the_first_flies_on(same_folder: bool) -> None:
-    """Also one that has the path of the first, from the same run folder."""
+def test_the_one_that_came_second_ends_in_the_air_and_the_first_flies_on() -> None:
+    """Even with the path of the first, from the same run folder."""
     first = flying().run_for(3.0)
     values = {"system_id": 1, **checkpoint.values_of(first.session.state)}
-    resume = (values, first.session.state.flight.known) if same_folder else None
+    resume = values, first.session.state.flight.known
     mission = replace(MISSION, system_id=1)
     joins = Session(mission, seed=1, lockstep=False, go=True, resume=resume)
     second = Pair(joins, first.vehicle)

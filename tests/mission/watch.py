@@ -31,16 +31,10 @@ MOVING = (events.SetMode, Setpoint, events.Arm, events.TakeOff, events.SetSpeed)
 """Commands that move a vehicle."""
 STREAMS = (Phase.FLYING, Phase.HOLDING, Phase.ARRIVED, Phase.RETURNING)
 ARROWS = {(phase, trigger.after) for trigger in Trigger for phase in trigger.origins}
-WITH_A_PERSON = (Reason.MODE_TAKEN, Reason.FAILSAFE, Reason.FENCE_BREACHED, Reason.PAUSED)
+TAKEN = (Reason.MODE_TAKEN, Reason.FAILSAFE, Reason.FENCE_BREACHED)
+WITH_A_PERSON = (*TAKEN, Reason.PAUSED)
 """What a vehicle may be held for as long as it takes: somebody else has the say."""
-NOT_OURS = (
-    Reason.MODE_TAKEN,
-    Reason.FAILSAFE,
-    Reason.FENCE_BREACHED,
-    Reason.LINK_LOST,
-    Reason.DISARMED,
-    Reason.GROUNDED,
-)
+NOT_OURS = (*TAKEN, Reason.LINK_LOST, Reason.DISARMED, Reason.GROUNDED)
 SETTLES_S, HOLD_S, SLACK_S, TOUCHES_S = 30.0, 300.0, 5.0, 1.5
 SETS_OUT = (Phase.FLYING, Phase.RETURNING)
 SHORT_S, AT_ONCE_S = 3.0, 2.0
@@ -226,8 +220,7 @@ class Watch:
         said = f"{command} in {before.phase} ({before.reason}), mode {self.mode}"
         if before.phase is Phase.ARMING or after.phase in (Phase.ARMING, Phase.TAKING_OFF):
             return
-        taken = before.reason in (Reason.MODE_TAKEN, Reason.FAILSAFE, Reason.FENCE_BREACHED)
-        if before.phase is Phase.HOLDING and taken:
+        if before.phase is Phase.HOLDING and before.reason in TAKEN:
             if self.mode is not Mode.GUIDED:
                 assert self.told_by_person, f"fought for the vehicle: {said}"
         elif self.mode not in (Mode.GUIDED, Mode.HOLD, Mode.TAKE_OFF):
