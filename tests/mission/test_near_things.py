@@ -5,13 +5,13 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from made_up import AWAY, SPEED_M_S, Craft, flying, home_or_on, texts
+from made_up import AWAY, SPEED_M_S, Craft, Step, flying, hears, home_or_on, now, texts, told
 from renewed import deep, replace
 from watch import off_m
 
 from companion.mission import following
 from companion.mission.decisions import Turn
-from companion.mission.events import Event, GroundSeen, NearSeen, Setpoint
+from companion.mission.events import GroundSeen, NearSeen, Setpoint
 from companion.mission.mission import Fallback
 from companion.mission.phases import Phase, Reason
 from companion.planner.procedure import Reference
@@ -24,100 +24,101 @@ MISSION = replace(AWAY, near=SENSOR, rangefinder_error_m=2.0, fallback=Fallback.
 LIMITS, SETTINGS = MISSION.task.limits, MISSION.task.settings
 CELL_M = 100.0
 PLACE = Lattice(cell_m=CELL_M, north_min_m=-1000.0, east_min_m=-1000.0, shape=(300, 300))
-Sees = Callable[[Craft], Event]
+ASIDE_M = SETTINGS.safety_distance_m + LIMITS.tracking_error_m + 2.0 * CELL_M
 
 
-def seen(craft: Craft, sight: Sight = Sight.SEES, *things_ne_m: tuple[float, float]) -> NearSeen:
-    near = NearMap(PLACE)
-    for north, east in things_ne_m:
-        cell = round(north / CELL_M) + 10, round(east / CELL_M) + 10
-        near.met_since_s[cell] = near.met_s[cell] = 1.0
-    return NearSeen(time_s=craft.now_s, sight=sight, near=near)
-
-
-def dead(craft: Craft) -> Event:
-    return seen(craft, Sight.DEAD)
-
-
-def ground(craft: Craft, above_m: float = 5.0) -> Event:
-    """So much higher than the map says."""
-    return GroundSeen(time_s=craft.now_s, above_m=above_m)
-
-
-WRONG: dict[str, tuple[Sees, Sees, Reason]] = {
-    "dead": (dead, seen, Reason.SENSOR_SILENT),
-    "never heard": (lambda it: seen(it, Sight.NEVER_HEARD), seen, Reason.SENSOR_SILENT),
-    "nearer": (ground, lambda it: ground(it, 0.0), Reason.GROUND_NEARER),
-}
-"""What is wrong, that it is over, and what is said of it."""
-
-
-def on_path(craft: Craft, ahead_m: float) -> tuple[float, float]:
-    """A place so far ahead of it."""
+def on_path(craft: Craft, ahead_m: float, aside_m: float = 0.0) -> tuple[float, float]:
+    """A place so far ahead of it, and to the right."""
     path = craft.state.path
     north, east, _ = path.leg.subpath.pose(path.reference.length_m + ahead_m).point_nea_m
-    return north, east
+    return north - aside_m, east + aside_m
 
 
-def told(craft: Craft, reason: Reason) -> int:
-    return sum(text.startswith(reason.text) for text in texts(craft.commands))
+def sees(sight: Sight = Sight.SEES, *things_m: tuple[float, float], **fields: float) -> Step:
+    """Things so far ahead, or aside."""
+
+    def see(craft: Craft) -> None:
+        near = NearMap(PLACE)
+        for north, east in (on_path(craft, *thing) for thing in things_m):
+            cell = round(north / CELL_M) + 10, round(east / CELL_M) + 10
+            near.met_since_s[cell] = near.met_s[cell] = 1.0
+        hears(NearSeen, sight=sight, near=near, **fields)(craft)
+
+    return see
 
 
-@pytest.mark.parametrize(("wrong", "well", "reason"), WRONG.values(), ids=[*WRONG])
+def says(reason: Reason | str, times: int = 1) -> Step:
+    words = reason.text if isinstance(reason, Reason) else reason
+    return lambda craft: sum(t.startswith(words) for t in texts(craft.commands)) == times
+
+
+def is_to_stop(reason: Reason | None) -> Callable[[Craft], bool]:
+    def check(craft: Craft) -> bool:
+        stop = craft.state.path.stop
+        return reason is (None if stop is None else stop.reason)
+
+    return check
+
+
+WELL, DEAD, NEVER = sees(), sees(Sight.DEAD), sees(Sight.NEVER_HEARD)
+NEARER, AS_MAPPED = hears(GroundSeen, above_m=5.0), hears(GroundSeen, above_m=0.0)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "well", "reason"),
+    [
+        (DEAD, WELL, Reason.SENSOR_SILENT),
+        (NEVER, WELL, Reason.SENSOR_SILENT),
+        (NEARER, AS_MAPPED, Reason.GROUND_NEARER),
+    ],
+    ids=["dead", "never heard", "nearer"],
+)
 def test_what_is_not_seen_or_nearer_stops_it_on_its_path_until_that_is_over(
-    wrong: Sees, well: Sees, reason: Reason
+    wrong: Step, well: Step, reason: Reason
 ) -> None:
-    craft = flying(MISSION)
-    leg, reference = craft.state.leg, craft.state.reference
-    craft.take(well(craft))
-    assert craft.state.path.stop is None
-    for _ in range(3):
-        craft.take(wrong(craft))
-    assert told(craft, reason) == 1
-    before = len(craft.sent(Setpoint))
-    assert craft.fly_to(Phase.HOLDING).state.reason is reason
+    craft = told(flying(MISSION), well, is_to_stop(None), wrong, wrong, says(reason))
+    path, reference, before = craft.state.path, craft.state.reference, len(craft.sent(Setpoint))
+    told(craft, Phase.HOLDING, reason)
     brakes_m = 0.5 * reference.speed_m_s**2 / LIMITS.acceleration_m_s2
-    stop = leg.subpath.pose(reference.length_m + brakes_m).point_nea_m
-    assert np.linalg.norm(np.subtract(craft.here, stop)) < 15.0 + 0.01 * brakes_m
+    stop = path.leg.subpath.pose(reference.length_m + brakes_m).point_nea_m
+    assert math.dist(craft.here, stop) < 15.0 + 0.01 * brakes_m
     places = [setpoint.position_nea_m for setpoint in craft.sent(Setpoint)[before:]]
     assert len(places) > 20
-    assert max(off_m(leg.subpath, place) for place in places) < 0.1  # on its path
-    assert craft.run_for(5.0).phase is Phase.HOLDING
-    craft.take(well(craft))
-    craft.fly_to(Phase.FLYING).fly_to(Phase.ARRIVED)
+    assert max(off_m(path.leg.subpath, place) for place in places) < 0.1  # on its path
+    told(craft, 5.0, lambda it: it.phase is Phase.HOLDING, well, Phase.FLYING, Phase.ARRIVED)
 
 
-@pytest.mark.parametrize(("wrong", "after_s"), [(dead, (30.0, 300.0)), (ground, (50.0, 80.0))])
+@pytest.mark.parametrize(("wrong", "after_s"), [(DEAD, (30.0, 300.0)), (NEARER, (50.0, 80.0))])
 def test_what_stays_wrong_is_waited_for_a_while_and_then_it_flies_back(
-    wrong: Sees, after_s: tuple[float, float]
+    wrong: Step, after_s: tuple[float, float]
 ) -> None:
     """And that stops no way back: what was flown before is flown again."""
     craft = flying(MISSION, plan=home_or_on)
-    craft.answered = int(wrong is ground)
-    craft.take(wrong(craft))
-    since_s = craft.fly_to(Phase.HOLDING).now_s
+    since_s = told(craft, now(answered=int(wrong is NEARER)), wrong, Phase.HOLDING).now_s
     craft.run_until(lambda craft: craft.phase is Phase.RETURNING, limit_s=300.0)
     assert after_s[0] < craft.now_s - since_s < after_s[1]
-    craft.take(wrong(craft))
-    assert craft.state.path.stop is None
-    craft.fly_to(Phase.LANDING)
-    assert np.hypot(*craft.here[:2]) < 100.0
+    told(craft, wrong, is_to_stop(None), Phase.LANDING)
+    assert math.hypot(*craft.here[:2]) < 100.0
 
 
-@pytest.mark.parametrize("blind", [False, True])
-def test_something_in_its_way_stops_it_at_once(blind: bool) -> None:
-    """Also if it stops for want of sight already: it is planned anew from there, and told once."""
-    craft = flying(MISSION)
-    if blind:
-        craft.take(dead(craft))
-    meets = seen(craft, Sight.SEES, on_path(craft, 6000.0))
-    craft.take(meets)
-    stop = craft.state.path.stop
-    assert stop.reason is Reason.NEW_THREAT
-    assert told(craft, Reason.SENSOR_SILENT) == blind
-    craft.take(meets)
-    assert craft.state.path.stop is stop
-    assert craft.fly_to(Phase.HOLDING).state.reason is Reason.NEW_THREAT
+THING = sees(Sight.SEES, (6000.0, 0.0))
+SEEN: dict[str, tuple[Step, ...]] = {
+    "beside it": (sees(Sight.SEES, (6000.0, ASIDE_M)), is_to_stop(None)),
+    "behind it": (20.0, sees(Sight.SEES, (-1000.0, 0.0)), is_to_stop(None)),
+    "nothing any more": (sees(Sight.NOTHING_THERE), is_to_stop(None)),
+    "in its way": (THING, is_to_stop(Reason.NEW_THREAT), THING, Phase.HOLDING, Reason.NEW_THREAT),
+    "in its way, stopping blind": (DEAD, is_to_stop(Reason.SENSOR_SILENT), THING,
+        is_to_stop(Reason.NEW_THREAT), says(Reason.SENSOR_SILENT), Phase.HOLDING),
+    "less than R": (*(sees(sees_m=sees_m) for sees_m in (10_000.0, 20_000.0, 10_000.0)),
+        says("sensor sees 10000 m of R = 20000 m")),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("seen", SEEN)
+def test_something_in_its_way_stops_it_at_once_and_what_is_elsewhere_stops_nobody(
+    seen: str,
+) -> None:
+    told(flying(MISSION), *SEEN[seen])
 
 
 def test_where_it_is_better_to_turn_back_it_stops_on_its_leg_and_plans_from_there() -> None:
@@ -130,14 +131,13 @@ def test_where_it_is_better_to_turn_back_it_stops_on_its_leg_and_plans_from_ther
 
     craft = flying(MISSION, plan=turns)
     leg = craft.state.leg
-    craft.run_until(lambda craft: craft.state.path.stop is not None)
-    stop = craft.state.path.stop
-    assert stop.reason is Reason.NO_PLAN
-    assert stop.at_m < leg.subpath.length_m - 100.0
+    craft.run_until(is_to_stop(Reason.NO_PLAN))
+    stop_m = craft.state.path.stop.at_m
+    assert stop_m < leg.subpath.length_m - 100.0
     craft.fly_to(Phase.HOLDING)
-    assert math.dist(craft.here, leg.subpath.pose(stop.at_m).point_nea_m) < 15.0
+    assert math.dist(craft.here, leg.subpath.pose(stop_m).point_nea_m) < 15.0
     assert (craft.state.reason, craft.state.flight.stops) == (Reason.NO_PLAN, 1)
-    craft.fly_to(Phase.FLYING).fly_to(Phase.ARRIVED)
+    told(craft, Phase.FLYING, Phase.ARRIVED)
 
 
 def test_where_its_leg_is_left_is_known_after_a_restart() -> None:
@@ -150,27 +150,14 @@ def test_where_its_leg_is_left_is_known_after_a_restart() -> None:
     assert (leg.p_prog, leg.successor_at_m) == (asked, asked.length_m)
 
 
-def test_something_beside_behind_or_gone_stops_nobody() -> None:
-    craft = flying(MISSION).run_for(10.0)
-    north, east = on_path(craft, 6000.0)
-    aside_m = SETTINGS.safety_distance_m + LIMITS.tracking_error_m + 2.0 * CELL_M
-    behind = on_path(craft, -craft.state.reference.length_m)
-    assert np.hypot(*np.subtract(on_path(craft, 0.0), behind)) > aside_m
-    craft.take(seen(craft, Sight.SEES, (north - aside_m, east + aside_m), behind))
-    assert craft.state.path.stop is None
-    craft.take(seen(craft, Sight.NOTHING_THERE))
-    assert craft.state.path.stop is None
-
-
 def test_a_copter_behind_its_reference_stops_as_far_from_where_it_is_itself() -> None:
     """An old position is where it was: it has flown on since."""
     craft = flying(MISSION)
     path, vehicle = craft.state.path, craft.state.vehicle
     at_m = 0.6 * path.reference.length_m
-    place = path.leg.subpath.pose(at_m).point_nea_m
+    behind = replace(vehicle, position_nea_m=path.leg.subpath.pose(at_m).point_nea_m)
     for age_s in (0.0, 1.0):
-        at_s, behind = craft.state.now_s + age_s, replace(vehicle, position_nea_m=place)
-        stopped = deep(replace(craft.state, now_s=at_s, vehicle=behind))
+        stopped = deep(replace(craft.state, now_s=craft.state.now_s + age_s, vehicle=behind))
         following.stop(stopped, Reason.NEW_THREAT, Turn(stopped, craft.context))
         flown_m = at_m + age_s * np.linalg.norm(vehicle.velocity_nea_m_s)
         brakes_m = path.reference.speed_m_s**2 / (2.0 * LIMITS.acceleration_m_s2)

@@ -10,15 +10,13 @@ flight; nobody else's vehicle is told anything; nothing after the end; a pause i
 one, an order is not overruled by an older plan, and no target is flown to below the reserve.
 """
 
-import math
-
 import pytest
 from watch import Watch
 from wild import Wild
 
-from companion.mavlink.autopilots import ALL, ARDUCOPTER
+from companion.mavlink.autopilots import ALL
 from companion.mission import events
-from companion.mission.phases import Phase, Reason
+from companion.mission.phases import Phase
 
 SHARDS, EVENTS = 60, 20_000
 LONGEST = 6_000
@@ -27,14 +25,6 @@ SAID = {
     *(events.Arm, events.TakeOff, events.SetMode, events.Setpoint, events.SetSpeed),
     *(events.RequestStreams, events.StartScan, events.Plan, events.StatusText, events.End),
 }
-ALONE = {
-    "estimator": Reason.ESTIMATOR,
-    "frozen": Reason.POSITION_FROZEN,
-    "jump": Reason.POSITION_JUMPED,
-    "weak": Reason.NOT_FOLLOWING,
-    "echo": Reason.NOT_TAKEN,
-}
-"""To what a trouble leads that begins in flight and stays, with nothing else wrong."""
 
 
 def shard(number: int, events: int = EVENTS) -> list[Watch]:
@@ -57,14 +47,6 @@ def shard(number: int, events: int = EVENTS) -> list[Watch]:
 def test_nothing_happens_that_must_never_happen(number: int) -> None:
     watches = shard(number)
     assert sum(watch.setpoints for watch in watches) > 0
-
-
-@pytest.mark.parametrize("trouble", ALONE)
-def test_a_trouble_that_begins_in_flight_is_told_by_its_name(trouble: str) -> None:
-    program = Wild.calmly(ARDUCOPTER.traits)
-    program.lasting, program.lasting_in = (math.inf, trouble), Phase.FLYING
-    program.run(LONGEST)
-    assert ALONE[trouble] in program.watch.reasons
 
 
 @pytest.mark.nightly

@@ -1,6 +1,6 @@
 """What a person has ordered, and was told is done, is done: no older plan or order undoes it.
 
-`watch_orders` has the laws of pauses, returns, landings and batteries at each step of any program.
+`watch` has the laws of pauses, returns, landings and batteries at each step of any program.
 """
 
 import math
@@ -13,21 +13,19 @@ from made_up import (
     SITUATIONS,
     Craft,
     Step,
+    calm,
     flying,
     home_or_on,
-    now,
     tell,
     texts,
     told,
 )
 from renewed import replace
-from wild import Wild
 
 from companion.mavlink.autopilots import ARDUPLANE
 from companion.mission import changes
 from companion.mission.changes import OrderResult
 from companion.mission.events import Mode, Order, OrderKind, Plan, SetMode
-from companion.mission.mission import Mission
 from companion.mission.phases import Phase, Reason
 from companion.mission.vehicle_traits import VehicleTraits
 
@@ -36,12 +34,6 @@ OTHER_NE_M = (6_000.0, 2_000.0)
 PAUSE, CONTINUE, RETURN = OrderKind.PAUSE, OrderKind.CONTINUE, OrderKind.RETURN
 LAND, REPOSITION, START = OrderKind.LAND, OrderKind.REPOSITION, OrderKind.START
 HOLDING, RETURNING, LANDING = Phase.HOLDING, Phase.RETURNING, Phase.LANDING
-
-
-def under_way(of: Mission | None = None) -> Craft:
-    return flying(of or AWAY, plan=home_or_on)
-
-
 GOING_UP = {"arming", "taking off"}
 TAKEN = {
     PAUSE: {"flying", "no plan", "no fix", *GOING_UP},
@@ -77,7 +69,7 @@ def carried_out(kind: OrderKind, craft: Craft) -> bool:
 def test_an_order_is_accepted_where_it_is_carried_out_and_what_is_accepted_is_done(
     kind: OrderKind, state: str
 ) -> None:
-    """In a take-off: `test_leaving`."""
+    """In a take-off: `test_coming_and_going`."""
     craft = SITUATIONS[state]()
     verdict = tell(craft, kind)
     assert (verdict is OrderResult.ACCEPTED) == (state in TAKEN[kind])
@@ -90,7 +82,7 @@ def test_an_order_is_accepted_where_it_is_carried_out_and_what_is_accepted_is_do
 def test_an_order_that_can_never_be_carried_out_is_invalid_and_who_only_watches_obeys_nobody() -> (
     None
 ):
-    craft, shadow = flying(AWAY), Craft(shadow=True)
+    craft, shadow = flying(AWAY), Craft(shadow=True).fly_to(Phase.SHADOW)
     vehicle = replace(craft.state.vehicle, traits=ARDUPLANE.traits)
     craft.state = replace(craft.state, vehicle=vehicle)
     for kind, target_ne_m, why in (
@@ -102,7 +94,6 @@ def test_an_order_that_can_never_be_carried_out_is_invalid_and_who_only_watches_
         asked = Order(time_s=craft.now_s, kind=kind, target_ne_m=target_ne_m)
         assert changes.order_result(craft.state, asked) is OrderResult.INVALID
         assert why in changes.why_not(craft.state, asked)
-    shadow.run_until(lambda craft: craft.phase is Phase.SHADOW)
     assert {tell(shadow, kind) for kind in OrderKind} == {OrderResult.NOT_NOW}
 
 
@@ -129,29 +120,16 @@ def test_the_last_order_counts_and_a_pause_gives_back_what_it_broke_off(
     script: tuple[Step, ...], ends: Phase, never: Phase
 ) -> None:
     """Also the very target that it came from, and another order after a landing."""
-    craft = told(under_way(replace(AWAY, targets_ne_m=(OTHER_NE_M,))), *script)
+    craft = told(flying(replace(AWAY, targets_ne_m=(OTHER_NE_M,)), plan=home_or_on), *script)
     count = len(craft.steps)
     craft.run_until(lambda craft: craft.phase is ends, 120.0)
     assert never not in {after.phase for *_, after, _ in craft.steps[count:]}
     assert craft.state.flight.returning is (ends is RETURNING)
 
 
-@pytest.mark.parametrize("found_in", [Mode.GUIDED, Mode.HOLD])
-@pytest.mark.parametrize("again", [Craft.restart, Craft.reboot])
-def test_after_a_restart_or_a_reboot_in_flight_the_whole_way_back_is_known(
-    found_in: Mode, again: Step
-) -> None:
-    craft = told(under_way(), 30.0, again, now(mode=found_in), 20.0, RETURN)
-    craft.run_until(lambda craft: getattr(craft.state.stage, "backtrack", None))
-    flown = craft.sent(Plan)[-1].request.flown
-    assert flown is not None
-    away_m = math.hypot(*craft.here[:2])
-    assert sum(each.until_m - each.from_m for each in flown) == pytest.approx(away_m, rel=0.01)
-
-
-def ways_left(wild: Wild) -> list[bytes]:
+def ways_left(craft: Craft) -> list[bytes]:
     """The stretches that are still to be flown."""
-    path, back = wild.state.path, wild.state.flight.back
+    path, back = craft.state.path, craft.state.flight.back
     legs = back if path is None else (path.leg, path.next_leg, *back)
     return [leg.subpath.control_nea_m.tobytes() for leg in legs if leg is not None]
 
@@ -163,21 +141,18 @@ def test_no_stretch_of_the_way_back_is_lost_in_a_pause_or_a_restart_in_it(
     traits: VehicleTraits, restarts: bool
 ) -> None:
     """A plane circles at once; a copter brakes first, and flies it to its end, never on."""
-    wild = Wild.calmly(traits, targets_ne_m=((400.0, 300.0), (-500.0, 200.0)))
-    wild.run_until(lambda wild: wild.state.flight.target == 1).run_for(12.0)
-    tell(wild, RETURN)
-    left, plans = ways_left(wild.fly_to(RETURNING).run_for(3.0)), len(wild.sent(Plan))
+    craft = calm(traits, targets_ne_m=((400.0, 300.0), (-500.0, 200.0)))
+    craft.run_until(lambda it: it.state.flight.target == 1)
+    left = ways_left(told(craft, 12.0, RETURN, RETURNING, 3.0))
+    plans = len(craft.sent(Plan))
     assert len(left) > 1
-    tell(wild, PAUSE)
-    if restarts:
-        wild._restart()
-    assert ways_left(wild.fly_to(HOLDING)) == left
-    wild.run_until(lambda wild: wild.state.reason is Reason.PAUSED).run_for(40.0)
-    tell(wild, CONTINUE)
-    wild.run_until(lambda wild: wild.state.phase not in (HOLDING, Phase.PREPARING))
-    assert wild.state.phase is RETURNING or wild.state.flight.homeward
+    told(craft, PAUSE, *[Craft.restart] * restarts, HOLDING)
+    assert ways_left(craft) == left
+    told(craft, Reason.PAUSED, 40.0, CONTINUE)
+    craft.run_until(lambda it: it.phase not in (HOLDING, Phase.PREPARING))
+    assert craft.phase is RETURNING or craft.state.flight.homeward
     if traits.hovers:
-        wild.run_until(lambda wild: wild.over)
-        assert len(wild.sent(Plan)) == plans
-        assert wild.here == pytest.approx((0.0, 0.0, HOME_AMSL_M), abs=1.0)
-        assert f"hold: {Reason.OFF_PATH.text}" not in texts(wild.said_to)
+        craft.run_until(lambda it: it.over)
+        assert len(craft.sent(Plan)) == plans
+        assert craft.here == pytest.approx((0.0, 0.0, HOME_AMSL_M), abs=1.0)
+        assert f"hold: {Reason.OFF_PATH.text}" not in texts(craft.commands)

@@ -8,7 +8,6 @@ those of the faults are the recordings' own (their README).  Watched only: repla
 
 import functools
 import math
-from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -20,7 +19,6 @@ from held import recorded
 from made_up_plans import planned
 from renewed import replace
 
-from companion.geodesy import FloatArray
 from companion.mavlink.autopilots import ARDUCOPTER, PX4_MULTICOPTER, Autopilot
 from companion.mavlink.dialect import codec, wire
 from companion.mavlink.frames import IGNORED_MESSAGES
@@ -35,8 +33,6 @@ from companion.session import Session
 
 VEHICLE, COMPANION = (1, 1), (1, 191)
 
-Span = tuple[float, float]
-
 
 class Recording(NamedTuple):
     """A recorded flight in which the GPS was lost."""
@@ -50,6 +46,7 @@ class Recording(NamedTuple):
     """As its heartbeats tell them: guided, hold and land."""
 
 
+MODES = (Mode.GUIDED, Mode.HOLD, Mode.LAND)
 ARDUPILOT = Recording("arducopter-gps-loss.tlog", ARDUCOPTER, "copter-canberra", 584.0, (4, 17, 9))
 PX4 = Recording(
     *("px4-gps-loss.tlog", PX4_MULTICOPTER, "copter-zurich", 488.0),
@@ -61,7 +58,7 @@ class Fault(NamedTuple):
     """A loss, and the session that takes over before it."""
 
     of: Recording
-    bad: Span
+    bad: tuple[float, float]
     """Until the position is right again: `Glitch cleared`, GPS fused again."""
     from_s: float
     path_to_s: float
@@ -74,7 +71,6 @@ FAULTS = (
     Fault(ARDUPILOT, (163.2, 188.5), 152.0, 200.0, 400.0),
     Fault(PX4, (76.3, 108.6), 50.0, 120.0, 400.0),
 )
-MODES = (Mode.GUIDED, Mode.HOLD, Mode.LAND)
 SEEN_S = 2.0
 """So long after it began a fault is seen: receiver at 5 Hz, estimator at 2 Hz, and it may flicker.
 
@@ -99,11 +95,6 @@ def messages(of: Recording) -> list[tuple[float, Any]]:
     return list(recorded(of.name, CHATTER))
 
 
-def inbound(of: Recording) -> Iterator[tuple[float, Any]]:
-    """What was not said by the companion of the recording."""
-    return (each for each in messages(of) if sender(each[1]) != COMPANION)
-
-
 def sender(message: Any) -> tuple[int, int]:
     return message.get_srcSystem(), message.get_srcComponent()
 
@@ -116,49 +107,39 @@ def mode_told(of: Recording, message: Any) -> Mode | None:
 
 
 def mode_asked(of: Recording, message: Any) -> Mode | None:
-    if message.get_type() != "COMMAND_LONG" or message.command != wire.MAV_CMD_DO_SET_MODE:
+    if getattr(message, "command", None) != wire.MAV_CMD_DO_SET_MODE:
         return None
-    number = int(message.param2)
-    if of is PX4:
-        number = number << 16 | int(message.param3) << 24
-    return of.autopilot.modes.mode_of(number)
+    main, sub = int(message.param2), int(message.param3)
+    return of.autopilot.modes.mode_of(main << 16 | sub << 24 if of is PX4 else main)
 
 
 # --- a session that takes over in flight
 
 
-def route(fault: Fault) -> FloatArray:
-    """(N, 3): where the companion of the recording sent the vehicle, about one point a second."""
+def on_route(fault: Fault) -> Session:
+    """On a path along where the companion of the recording sent it, far from its target."""
     next_s, points = fault.from_s, list[tuple[float, float, float]]()
     for at_s, m in messages(fault.of):
         if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED" and next_s <= at_s <= fault.path_to_s:
             next_s = at_s + 1.0
             points.append((m.x, m.y, fault.of.home_amsl_m - m.z))
-    return np.array(points)
-
-
-def on_route(fault: Fault) -> Session:
-    """On a path along the recorded route, far from its target."""
     mission = missions.mission(fault.of.mission)
     known = mission.known
     assert known is not None
-    subpath = Subpath(control_nea_m=route(fault))
+    subpath = Subpath(control_nea_m=np.array(points))
     leg = Leg(number=1, plan_id=1, subpath=subpath, reaches_target=False, rules=mission.task)
     state = State.of(mission, known)
     flight = replace(state.flight, plan_id=1, legs_flown=1)
     state = replace(state, stage=Flying(path=OnPath(leg=leg)), airborne=True, flight=flight)
-    resume = (checkpoint.values_of(state), known)
-    return Session(mission, seed=1, lockstep=False, resume=resume)
+    return Session(mission, seed=1, lockstep=False, resume=(checkpoint.values_of(state), known))
 
 
 @dataclass(slots=True)
 class Flown:
     """What the session did, and when."""
 
-    sent: list[tuple[float, Any]] = field(default_factory=list)
-    sent_to_another: list[tuple[float, Any]] = field(default_factory=list)
-    """While the heartbeats of the recording tell another mode, after it was guided."""
-    was_by_another: bool = False
+    sent: list[tuple[float, Any, bool]] = field(default_factory=list)
+    """Also whether the heartbeats of the recording told another mode then, after guided mode."""
     modes: list[tuple[float, Mode]] = field(default_factory=list)
     """Those that it asked for."""
     planned_s: list[float] = field(default_factory=list)
@@ -166,7 +147,7 @@ class Flown:
     @property
     def leads_s(self) -> list[float]:
         """When the vehicle was sent a setpoint."""
-        return [at_s for at_s, message in self.sent if message.get_type() in LEADS]
+        return [at_s for at_s, message, _ in self.sent if message.get_type() in LEADS]
 
 
 @functools.cache
@@ -179,12 +160,14 @@ def flown(fault: Fault, obeys: bool) -> Flown:
     it, reader, session, of = Flown(), codec(1), on_route(fault), fault.of
     answer: tuple[float, PlanOutcome] | None = None
     heard_s, guided, by_another = fault.from_s, False, False
-    for at_s, message in inbound(of):
-        mode = mode_told(of, message)
-        guided |= mode is Mode.GUIDED
-        by_another &= mode is not Mode.GUIDED
-        if not fault.from_s <= at_s <= fault.end_s:
-            by_another |= guided and mode not in (None, Mode.GUIDED)
+    for at_s, message in messages(of):
+        mode, was_by_another = mode_told(of, message), by_another
+        if at_s > fault.end_s or sender(message) == COMPANION:
+            continue
+        if mode is not None:
+            guided |= mode is Mode.GUIDED
+            by_another = guided and mode is not Mode.GUIDED
+        if at_s < fault.from_s:
             continue
         frame = bytes(message.get_msgbuf())
         if obeys and it.modes and mode is Mode.GUIDED:
@@ -197,16 +180,13 @@ def flown(fault: Fault, obeys: bool) -> Flown:
         else:
             session.silence(at_s - heard_s)
         out = session.run()
-        told = [reader.decode(bytearray(packed)) for packed in out.frames]
-        it.sent += [(at_s, each) for each in told]
-        it.sent_to_another += [(at_s, each) for each in told if by_another]
-        asked = (mode_asked(of, each) for each in told)
-        it.modes += [(at_s, each) for each in asked if each is not None]
+        for told in (reader.decode(bytearray(packed)) for packed in out.frames):
+            it.sent.append((at_s, told, by_another and was_by_another))
+            if (asked := mode_asked(of, told)) is not None:
+                it.modes.append((at_s, asked))
         if out.plan is not None:
             it.planned_s.append(at_s)
             answer = (at_s + 0.5, planned(out.plan, 1000.0))  # which nobody flies
-        by_another |= guided and mode not in (None, Mode.GUIDED)
-        it.was_by_another |= by_another
     return it
 
 
@@ -228,6 +208,7 @@ def in_mode(heartbeat: Any, custom_mode: int) -> bytes:
 def test_it_lets_go_asks_for_hold_and_begins_nothing_at_a_wrong_position_or_in_anothers_mode(
     fault: Fault, obeys: bool
 ) -> None:
+    """ArduPilot's glitch: 2 s after it was cleared guided mode is asked for, and then a plan."""
     it, (bad_s, right_s) = flown(fault, obeys), fault.bad
     before = [at_s for at_s in it.leads_s if at_s < bad_s]
     assert len(before) > 5.0 * (bad_s - fault.from_s - 5.0)  # it took over, and did fly
@@ -241,16 +222,13 @@ def test_it_lets_go_asks_for_hold_and_begins_nothing_at_a_wrong_position_or_in_a
         assert not [at_s for at_s in begun_s if since_s + SEEN_S < at_s < until_s]
     again = [at_s for at_s in it.leads_s if at_s > right_s]
     assert min(again, default=math.inf) > right_s + TRUSTED_AGAIN_S
-    assert it.was_by_another
-    for at_s, message in it.sent_to_another:
+    to_another = [(at_s, message) for at_s, message, by_another in it.sent if by_another]
+    assert to_another
+    for at_s, message in to_another:
         kind, command = message.get_type(), getattr(message, "command", ASKS[0])
         acts = kind in CHANGES or (kind.startswith("COMMAND_") and command not in ASKS)
         assert not acts, (at_s, message)
-
-
-def test_the_made_up_vehicle_that_obeys_is_flown_on_with_once_its_position_is_right() -> None:
-    """ArduPilot's glitch: 2 s after it was cleared guided mode is asked for, and a plan."""
-    it, right_s = flown(FAULTS[0], True), FAULTS[0].bad[1]
-    guided_s = min(at_s for at_s, mode in it.modes if mode is Mode.GUIDED)
-    assert right_s + TRUSTED_AGAIN_S < guided_s < right_s + TRUSTED_AGAIN_S + 1.0
-    assert min(it.planned_s) > guided_s
+    if obeys and fault is FAULTS[0]:
+        guided_s = min(at_s for at_s, mode in it.modes if mode is Mode.GUIDED)
+        assert right_s + TRUSTED_AGAIN_S < guided_s < right_s + TRUSTED_AGAIN_S + 1.0
+        assert min(it.planned_s) > guided_s

@@ -4,6 +4,7 @@ Each step is an order, how long it flies on, until which phase or reason, or wha
 that says no is a law that is broken.  What holds at every step of any flight: `watch`.
 """
 
+import itertools
 import math
 from collections.abc import Callable
 
@@ -13,35 +14,39 @@ from made_up import (
     HOME_AMSL_M,
     LAND,
     NEAR,
+    SITUATIONS,
+    TAKEN,
     Craft,
     Step,
     arrived,
+    backtrack,
     flying,
     hears,
-    holding_mode_taken,
     holding_without_fix,
     home_or_on,
-    landing,
     moving,
     now,
     only_the_first,
     order_of,
-    preparing,
-    ready,
     texts,
     told,
+    warnings,
 )
 from made_up_plans import not_planned, planned, straight
 from renewed import replace
 
-from companion.mission import changes, events, phases
+from companion.mission import changes, checkpoint, events, phases
+from companion.mission.battery import battery_lasts
+from companion.mission.decisions import Context
 from companion.mission.events import Landed, Mode, OrderKind, Outcome, Setpoint
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.mission.phases import Phase, Reason
-from companion.planner.request import Backtrack, NotPlanned, PlanOutcome, PlanRequest, Refusal
+from companion.mission.stopped import FAILSAFE_OVER
+from companion.planner.request import NotPlanned, PlanOutcome, PlanRequest, Refusal
 
 PAUSE, CONTINUE, RETURN = OrderKind.PAUSE, OrderKind.CONTINUE, OrderKind.RETURN
 START, LANDS = OrderKind.START, OrderKind.LAND
+preparing, ready = SITUATIONS["preparing"], SITUATIONS["ready"]
 READY, HOLDING, FLYING, DONE = Phase.READY, Phase.HOLDING, Phase.FLYING, Phase.DONE
 LANDING, RETURNING, PREPARING = Phase.LANDING, Phase.RETURNING, Phase.PREPARING
 ELSEWHERE = ((8_000.0, 2_000.0), (2_000.0, 8_000.0))
@@ -61,16 +66,13 @@ def back_as_flown(request: PlanRequest) -> PlanOutcome:
     """A planner that finds every way; the way back ends where the flown path begins."""
     if request.flown is None:
         return planned(request)
-    back = straight(request.scan_nea_m, request.flown[0].control_nea_m[0])
-    return Backtrack(
-        plan_id=request.plan_id, subpaths=(back,), through=(False,), reaches_start=True
-    )
+    return backtrack(request, straight(request.scan_nea_m, request.flown[0].control_nea_m[0]))
 
 
 def taken_over(of: Mission = AWAY) -> Craft:
     """Started in the air, 3.6 km from home."""
-    craft = Craft(of, plan=back_as_flown)
-    craft.armed, craft.mode, craft.landed, craft.here = True, Mode.GUIDED, Landed.IN_AIR, OUT_NEA_M
+    craft = Craft(of, plan=back_as_flown).aloft(Mode.GUIDED)
+    craft.here = OUT_NEA_M
     return craft
 
 
@@ -78,12 +80,8 @@ def closed_in(request: PlanRequest) -> NotPlanned:
     return NotPlanned(plan_id=request.plan_id, refusal=Refusal.START_NEAR_TERRAIN)
 
 
-def lands_for_want_of_plans() -> Craft:
-    return Craft(replace(NEAR, fallback=Fallback.LAND), plan=closed_in).fly_to(LANDING)
-
-
 def landing_begun() -> Craft:
-    return landing().run_until(lambda craft: craft.mode is Mode.LAND).run_for(3.0)
+    return SITUATIONS["landing"]().run_until(lambda craft: craft.mode is Mode.LAND).run_for(3.0)
 
 
 # --- what happens
@@ -94,12 +92,10 @@ def until(done: Callable[[Craft], object], limit_s: float = 3600.0) -> Callable[
 
 
 LOW = now(battery=0.1)
-TAKEN = now(mode=Mode.OTHER, obeys_modes=False)
 GIVEN_BACK = now(mode=Mode.GUIDED, obeys_modes=True)
 FALLEN = now(mode=Mode.OTHER, armed=False, landed=Landed.ON_GROUND)
 LED_ON = until(lambda craft: craft.state.reference.length_m > 2_000.0)
 TAKES_OVER = until(lambda craft: craft.state.held_for in (*phases.TAKES_OVER, Reason.NO_PLAN))
-FLIES_HOME = until(lambda craft: craft.state.flight.homeward and craft.velocity[0] != 0.0)
 
 
 def no_way_on(craft: Craft) -> None:
@@ -120,10 +116,36 @@ def only_back(request: PlanRequest) -> PlanOutcome:
     return not_planned(request) if request.flown is None else home_or_on(request)
 
 
+def back_by(share: float) -> Callable[[PlanRequest], PlanOutcome]:
+    """So much of the way back is proven, and no way home from there."""
+
+    def plan(request: PlanRequest) -> PlanOutcome:
+        if request.flown is None:
+            is_home = math.hypot(*request.target_ne_m) < 10.0
+            return not_planned(request) if is_home else planned(request)
+        north, east, up = here = request.scan_nea_m
+        part = straight(here, ((1.0 - share) * north, (1.0 - share) * east, up))
+        return backtrack(request, *([part] if share else []), reaches_start=False)
+
+    return plan
+
+
+def without_memory(craft: Craft) -> None:
+    """Its companion dies, and of its checkpoint nothing can be read."""
+    number = craft.state.flight.plan_id
+    craft.resumes(
+        checkpoint.without_checkpoint("torn", system_id=1, time_s=craft.now_s, plan_id=number)
+    )
+
+
+def without_go(craft: Craft) -> None:
+    craft.context = Context(mission=craft.context.mission, seed=1)
+
+
 def answered(craft: Craft) -> None:
     """The planner answers what it was asked last."""
     outcome = home_or_on(craft.sent(events.Plan)[-1].request)
-    craft.obey(craft.take(events.PlanReady(time_s=craft.now_s, outcome=outcome)))
+    craft.hear(events.PlanReady(time_s=craft.now_s, outcome=outcome))
 
 
 def home_is_here(craft: Craft) -> None:
@@ -208,9 +230,19 @@ def ends(*why: Reason) -> Callable[[Craft], bool]:
     return check
 
 
-def left_alone(craft: Craft) -> bool:
-    """For a while from now on."""
-    return not moving(craft.during(150.0))
+def ends_as(outcome: Outcome, why: str) -> Callable[[Craft], bool]:
+    return lambda craft: (craft.end().outcome, craft.end().reason) == (outcome, why)
+
+
+def asks_for_the_whole_way(craft: Craft) -> bool:
+    """That it has flown, for its way back."""
+    flown = craft.sent(events.Plan)[-1].request.flown or ()
+    apart_m = sum(each.until_m - each.from_m for each in flown) - math.hypot(*craft.here[:2])
+    return abs(apart_m) < 0.01 * math.hypot(*craft.here[:2])
+
+
+def is_left_alone_for(seconds: float) -> Callable[[Craft], bool]:
+    return lambda craft: not moving(craft.during(seconds))
 
 
 def is_told_50_m_off(craft: Craft) -> bool:
@@ -224,8 +256,14 @@ def is_led_nowhere(craft: Craft) -> bool:
     return not [c for c in craft.during(30.0) if isinstance(c, Setpoint | events.Plan)]
 
 
-def says(words: str) -> Callable[[Craft], bool]:
-    return lambda craft: words in " ".join(texts(craft.commands))
+def says(words: str, times: int | None = None) -> Callable[[Craft], bool]:
+    """So often; or at all."""
+
+    def check(craft: Craft) -> bool:
+        said = sum(words in text for text in texts(craft.commands))
+        return said > 0 if times is None else said == times
+
+    return check
 
 
 def refuses(kind: OrderKind, why: str) -> Callable[[Craft], bool]:
@@ -239,10 +277,7 @@ def refuses(kind: OrderKind, why: str) -> Callable[[Craft], bool]:
     return check
 
 
-def says_once(words: str) -> Callable[[Craft], bool]:
-    return lambda craft: sum(words in text for text in texts(craft.commands)) == 1
-
-
+LEFT_ALONE = is_left_alone_for(150.0)
 IS_PAUSED, UNREAD = holds_for(Reason.PAUSED), holds_for(Reason.FENCE_UNREAD)
 BACK, PLANS = says(": flying back, then home"), says(": planning a way home")
 EMPTY_ONCE = (hears(events.Battery, remaining=0.0), 2.0, hears(events.Battery, remaining=0.0), 2.5)
@@ -255,10 +290,10 @@ RETURNS_AGAIN = (
     *(PAUSE, 2.0, CONTINUE, DONE, at_its_start),
     lambda it: it.end().reason == f"landed: {Reason.RETURN_ASKED.text}",
 )
+TAKES_OFF = until(lambda craft: craft.sent(events.TakeOff))
 ASKS_BACK = until(lambda craft: getattr(craft.state.stage, "backtrack", None))
 PAUSED_BEFORE = (RETURN, now(plan=lambda _: None), ASKS_BACK, PAUSE, now(plan=home_or_on), 5.0)
 STAYS_PAUSED = (300.0, IS_PAUSED, CONTINUE, RETURNING)
-LANDS_LATE = (5.0, lambda it: it.phase is LANDING, now(obeys_modes=True), DONE, is_down)
 ELSEWHERE_FOUND = (holds_for(Reason.POSITION_ELSEWHERE), lambda it: it.mode is Mode.HOLD)
 BROKEN_OFF = (
     *(now(mode=Mode.GUIDED, failsafe=False), 120.0, IS_PAUSED, is_led_level),
@@ -271,15 +306,9 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "low when it is given back": (under_way(),
         TAKEN, HOLDING, LOW, 10.0, GIVEN_BACK, DONE, is_home),
     "low, and told to return": (under_way(fallback=Fallback.HOLD), LOW, RETURN, DONE, is_home),
-    "low, told to return, and paused": (under_way(fallback=Fallback.LAND),
-        LOW, RETURN, PAUSE, DONE, is_home),
     "low in a pause on the way back": (under_way(fallback=Fallback.LAND),
         RETURN, RETURNING, 10.0, PAUSE, HOLDING, 20.0, IS_PAUSED, LOW, DONE, is_home),
     "low in a pause": (under_way(), PAUSE, HOLDING, 5.0, LOW, *FALLS_BACK, is_home),
-    "low in a pause, to land": (under_way(fallback=Fallback.LAND),
-        PAUSE, HOLDING, 5.0, LOW, *FALLS_BACK, is_down),
-    "low in a pause, to hold": (under_way(fallback=Fallback.HOLD),
-        PAUSE, HOLDING, 5.0, LOW, *FALLS_BACK, lambda it: it.mode is Mode.HOLD),
     "low after it was told to go on": (under_way(),
         now(plan=lambda r: not_planned(r) if r.flown is None else None), Reason.NO_PLAN, PAUSE,
         now(plan=planned), CONTINUE, FLYING, 20.0, LOW, Reason.BATTERY_LOW),
@@ -305,7 +334,6 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "no way on": (taken_over, LED_ON, no_way_on, DONE, is_home, BACK),
     "told to return at once": (taken_over, TAKES_OVER, RETURN, DONE, is_home, PLANS),
     "no way on from the beginning": (taken_over, no_way_on, DONE, is_home, PLANS),
-    "told again": (taken_over, TAKES_OVER, RETURN, FLIES_HOME, RETURN, DONE, is_home),
     "at the last target": (lambda: taken_over(replace(NEAR, end_action=EndAction.RETURN)),
         DONE, is_home, arrives),
     "from where nothing leads away": (taken_over,
@@ -319,13 +347,22 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         asked_for_no_way_home, says("home: it lies outside the map")),
     "home is told anew after a reboot": (lambda: flying(AWAY, plan=back_as_flown),
         20.0, Craft.reboot, home_is_here, FLYING, RETURN, DONE, at_its_start),
+    "none of the way back is proven, and no way home": (
+        lambda: flying(AWAY, plan=back_by(0.0)),
+        20.0, RETURN, DONE, lambda it: it.mode is Mode.RETURN and RETURNING not in it.phases,
+        ends_as(Outcome.STOPPED, "its autopilot returns by itself: told to return")),
+    "half of the way back is proven, and no way home": (
+        lambda: flying(AWAY, plan=back_by(0.5)),
+        20.0, RETURN, DONE, lambda it: it.mode is Mode.RETURN and RETURNING in it.phases,
+        ends_as(Outcome.STOPPED, "its autopilot returns by itself: told to return")),
+    **{f"told to return after a {again.__name__}, found in {found.value}": (under_way(),
+        30.0, again, now(mode=found), 20.0, RETURN, ASKS_BACK, asks_for_the_whole_way)
+        for again in (Craft.restart, Craft.reboot) for found in (Mode.GUIDED, Mode.HOLD)},
     # a pause gives back what it broke off
     "a return paused at once": (under_way(), RETURN, *RETURNS_AGAIN),
-    "a return paused as it brakes": (under_way(), RETURN, 1.0, *RETURNS_AGAIN),
     "a return paused on its way": (under_way(), RETURN, 20.0, *RETURNS_AGAIN),
     "a return paused before its answer": (under_way(), *PAUSED_BEFORE, answered, *STAYS_PAUSED),
     "a return paused, and a restart": (under_way(), *PAUSED_BEFORE, Craft.restart, *STAYS_PAUSED),
-    "a return paused, and a reboot": (under_way(), *PAUSED_BEFORE, Craft.reboot, *STAYS_PAUSED),
     "a return for want of plans, paused": (under_way(fallback=Fallback.RETURN),
         now(plan=only_back), RETURNING, 10.0, PAUSE, 1.0, CONTINUE, DONE, at_its_start),
     # plans, links, restarts and reboots
@@ -362,24 +399,40 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         is_found(-50.0), 10.0, is_flying),
     "the link comes back": (lambda: flying(NEAR),
         2.0, LOSES_LINK, Reason.LINK_LOST, PREPARING, DONE, arrives),
-    "the link and the fix come back": (lambda: holding_without_fix(NEAR),
-        2.0, LOSES_LINK, Reason.LINK_LOST, now(fix=True), PREPARING, DONE, arrives),
     "its own hold is no person's after a restart": (under_way(),
         Craft.restart, until(lambda it: it.mode is Mode.HOLD), now(velocity=(0.0, 0.0, 0.0)),
         DONE, arrives),
     "a reboot at its target": (arrived, Craft.reboot, PREPARING, DONE, arrives),
     "a restart before it has lifted off": (lambda: Craft(NEAR),
         Phase.TAKING_OFF, Craft.restart, DONE, arrives),
+    "without its memory": (under_way(),
+        30.0, without_memory, DONE, arrives, says("without memory"), says("torn")),
+    "without its memory on the ground": (Craft,
+        without_memory, DONE, ends(Reason.GROUNDED), told_nothing),
+    "armed before a restart, and nobody says go": (lambda: Craft().fly_to(Phase.ARMING),
+        until(lambda it: it.armed), without_go, Craft.restart, DONE,
+        lambda it: it.state.reason is Reason.NOT_READY and not it.sent(events.TakeOff),
+        lambda it: len(it.sent(events.Disarm)) > 0),
     "a restart in its landing": (landing_begun, Craft.restart, DONE, is_down),
     "a reboot in its landing": (landing_begun, Craft.reboot, DONE, is_down),
     "a landing asked for in vain": (lambda: arrived(LAND),
-        now(obeys_modes=False), LANDING, now(mode=Mode.GUIDED), *LANDS_LATE),
-    "a landing asked for in vain in a hold": (lambda: arrived(LAND),
-        now(obeys_modes=False), LANDING, now(mode=Mode.HOLD), *LANDS_LATE),
+        now(obeys_modes=False), LANDING, now(mode=Mode.GUIDED), 5.0,
+        lambda it: it.phase is LANDING, now(obeys_modes=True), DONE, is_down),
+    "it does not follow": (lambda: flying(AWAY),
+        now(follows=False, velocity=(0.0, 0.0, 0.0)), Reason.NOT_FOLLOWING, DONE),
+    "its autopilot says that it flies elsewhere": (lambda: flying(AWAY),
+        *6 * (hears(events.Echo, position_nea_m=OUT_NEA_M), 0.5), says(Reason.NOT_TAKEN.text)),
+    "it will not arm": (lambda: Craft(NEAR),
+        now(arms=False), DONE, ends(Reason.NOT_ARMED), now(armed=True), 5.0,
+        lambda it: (it.mode, it.here[2]) == (Mode.HOLD, HOME_AMSL_M)),
+    "a take-off that is refused is asked for each second": (lambda: Craft(NEAR),
+        now(takes_off=False), TAKES_OFF, 5.8, lambda it: len(it.sent(events.TakeOff)) == 6),
+    "one that was accepted and does not begin is asked for again": (lambda: Craft(NEAR),
+        now(takes_off=False, accepts=True), TAKES_OFF, 5.8,
+        lambda it: len(it.sent(events.TakeOff)) == 2),
     # a landing that is broken off is held where it is until somebody says go on
     "broken off": (landing_begun, *BROKEN_OFF),
     "broken off after a restart": (landing_begun, Craft.restart, *BROKEN_OFF),
-    "broken off after a reboot": (landing_begun, Craft.reboot, *BROKEN_OFF),
     "broken off by a pilot": (landing_begun, TAKEN, Reason.MODE_TAKEN, GIVEN_BACK, *BROKEN_OFF),
     "broken off by a failsafe": (landing_begun,
         now(mode=Mode.RETURN, failsafe=True), Reason.FAILSAFE, *BROKEN_OFF),
@@ -393,10 +446,16 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "its failsafe lands it after it was held": (flying,
         now(estimator=False), HOLDING, LANDS_BY_ITSELF, DONE,
         ends(Reason.DISARMED, Reason.FAILSAFE, Reason.ESTIMATOR)),
+    **{f"its failsafe is over{when}": (lambda: flying(AWAY),
+        now(mode=Mode.RETURN, failsafe=True, obeys_modes=False), HOLDING, *again, Reason.FAILSAFE,
+        now(fix=False), 5.0, now(failsafe=False, mode=Mode.HOLD), 5.0, says(FAILSAFE_OVER, 0),
+        now(fix=True), is_left_alone_for(100.0), says(FAILSAFE_OVER, 1),
+        holds_for(Reason.FAILSAFE), now(obeys_modes=True), START, DONE, arrives)
+        for when, again in (("", ()), (" after a restart", (Craft.restart, 20.0)))},
     # orders
     "paused for as long as it takes": (under_way(),
         PAUSE, HOLDING, 400.0, IS_PAUSED, CONTINUE, FLYING),
-    "started where a pilot had it": (holding_mode_taken,
+    "started where a pilot had it": (SITUATIONS["taken"],
         5.0, now(obeys_modes=True), START, 3.0, lambda it: it.mode is Mode.GUIDED, FLYING),
     "other targets, and then none": (under_way(),
         hears(events.TargetsChanged, targets_ne_m=ELSEWHERE),
@@ -413,7 +472,7 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         now(obeys_modes=False), 5.0,
         lambda it: it.sent(events.SetMode)[-1] == events.SetMode(mode=Mode.HOLD)),
     "told to land": (under_way(),
-        5.0, LANDS, is_flying, LANDING, lambda it: not any(it.velocity), DONE, is_down,
+        5.0, LANDS, is_flying, LANDING, lambda it: math.hypot(*it.velocity) < 0.5, DONE, is_down,
         lambda it: it.end().reason == "landed: told to land"),
     "told to land without a position": (holding_without_fix, LANDS, LANDING),
     # a fence that has changed is held for until it is read
@@ -434,7 +493,7 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         LOW, Reason.BATTERY_LOW, FENCE_CHANGES, 60.0, lambda it: it.phase is not HOLDING),
     # who says go, and to what
     "it is ready for as long as it takes": (ready,
-        200.0, told_nothing, says_once("waits for go"), START, Phase.TAKING_OFF,
+        200.0, told_nothing, says("waits for go", 1), START, Phase.TAKING_OFF,
         lambda it: len(it.sent(events.Arm)) > 0),
     "go was said": (lambda: Craft(NEAR), Phase.ARMING, lambda it: not says("waits for go")(it)),
     "its parameters are refused": (preparing,
@@ -449,12 +508,9 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         hears(events.Prepared, item=events.Item.CHECKS), READY, START),
     "somebody arms it after a reboot, and keeps it": (lambda: Craft().fly_to(Phase.ARMING),
         until(lambda it: it.state.armed_by_us), Craft.reboot, now(armed=True, mode=Mode.OTHER),
-        left_alone, DONE, ends(Reason.ARMED_ALREADY)),
+        LEFT_ALONE, DONE, ends(Reason.ARMED_ALREADY)),
     "somebody arms what is ready": (ready,
         now(armed=True, mode=Mode.GUIDED), DONE, ends(Reason.ARMED_ALREADY), told_nothing),
-    "somebody arms what is not": (ready,
-        now(fix=False), 3.0, now(armed=True, mode=Mode.GUIDED), DONE,
-        ends(Reason.ARMED_ALREADY), told_nothing),
     # another companion of the same vehicle is heard: on the ground both refuse
     "another companion before it says anything": (preparing,
         NAMESAKE, DONE, ends(Reason.NOT_ALONE), told_nothing),
@@ -462,17 +518,16 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         now(arms=False), 2.0, NAMESAKE, DONE, ends(Reason.NOT_ALONE),
         lambda it: not it.sent(events.TakeOff)),
     "another companion in flight": (under_way(),
-        NAMESAKE, *20 * (1.0, GOES_ON), says_once(f"{Reason.NOT_ALONE.text}: end it"),
+        NAMESAKE, *20 * (1.0, GOES_ON), says(f"{Reason.NOT_ALONE.text}: end it", 1),
         DONE, arrives),
     # it is stopped
     "stopped before it was told anything": (Craft, hears(events.StopAsked), DONE, told_nothing),
-    "stopped while it prepares": (preparing, hears(events.StopAsked), DONE, told_nothing),
-    "stopped in a landing for want of plans": (lands_for_want_of_plans,
-        hears(events.StopAsked), DONE, ends(Reason.STOPPED)),
+    "stopped in a landing for want of plans": (
+        lambda: Craft(replace(NEAR, fallback=Fallback.LAND), plan=closed_in),
+        LANDING, hears(events.StopAsked), DONE, ends(Reason.STOPPED)),
     # what falls meanwhile is never armed again
-    "fallen in a reboot": (under_way(), Craft.reboot, FALLEN, left_alone, DONE),
-    "fallen in a restart": (under_way(), Craft.restart, FALLEN, left_alone, DONE),
-    "fallen in both": (under_way(), Craft.reboot, Craft.restart, FALLEN, left_alone, DONE),
+    "fallen in a reboot": (under_way(), Craft.reboot, FALLEN, LEFT_ALONE, DONE),
+    "fallen in a restart": (under_way(), Craft.restart, FALLEN, LEFT_ALONE, DONE),
 }  # fmt: skip
 
 
@@ -480,3 +535,100 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
 def test_a_flight_ends_as_its_user_expects(story: str) -> None:
     begins, *script = STORIES[story]
     told(begins(), *script)
+
+
+# --- a flight that cannot go on: never in the air, unless the mission or a person says so
+
+HANDED = "its autopilot returns by itself"
+
+
+def no_plan(of: Mission) -> Craft:
+    return flying(of, plan=only_the_first)
+
+
+FAILURES: dict[str, tuple[Callable[[Mission], Craft], *tuple[Step, ...]]] = {
+    "no plan": (no_plan,),
+    "the radar is silent": (no_plan, now(answered=0)),
+    "the battery is empty": (no_plan, now(battery=0.1)),
+    "it does not follow": (flying, now(follows=False)),
+    "no fix": (holding_without_fix,),
+}
+
+
+def fails(failure: str, fallback: Fallback) -> Craft:
+    begins, *script = FAILURES[failure]
+    return told(begins(replace(AWAY, fallback=fallback)), *script)
+
+
+@pytest.mark.parametrize("failure", FAILURES)
+@pytest.mark.parametrize("fallback", Fallback)
+def test_a_flight_that_fails_ends_by_its_fallback_and_that_is_said_before_it_is_done(
+    failure: str, fallback: Fallback
+) -> None:
+    """No way back is proven: its autopilot returns; but what does not know where it is lands."""
+    craft = fails(failure, fallback).fly_to(DONE)
+    assert craft.end().outcome is Outcome.FAILED
+    if fallback is Fallback.HOLD:
+        assert (craft.mode, craft.armed) == (Mode.HOLD, True)
+        assert not {Mode.RETURN, Mode.LAND} & set(modes(craft))
+        return
+    why = craft.state.flight.fallen_back.text + ": it broke floor" * (failure == "no plan")
+    mode, how, end = Mode.LAND, "landing here", "landed"
+    if fallback is Fallback.RETURN and failure != "no fix":
+        mode, how, end = Mode.RETURN, "its autopilot is told to return", HANDED
+    assert f"{why}: {how}" in texts(
+        craft.commands[: craft.commands.index(events.SetMode(mode=mode))]
+    )
+    assert (Mode.RETURN in modes(craft), craft.armed) == (mode is Mode.RETURN,) * 2
+    assert (craft.mode, craft.end().reason) == (mode, f"{end}: {why}")
+
+
+@pytest.mark.parametrize("obeys", [True, False])
+@pytest.mark.parametrize("how", [Fallback.RETURN, Fallback.LAND])
+def test_what_does_not_take_the_one_is_asked_for_the_other_or_to_hold_and_a_person_to_take_over(
+    how: Fallback, obeys: bool
+) -> None:
+    phases = [(Phase.HANDING_OVER, Mode.RETURN), (LANDING, Mode.LAND)]
+    first, second = phases if how is Fallback.RETURN else reversed(phases)
+    script = (first[0], now(obeys_modes=False), second[0], now(obeys_modes=obeys), DONE)
+    craft = told(fails("it does not follow", how), *script)
+    if obeys:
+        assert craft.mode is second[1]
+        assert craft.end().reason.partition(": ")[0] in ("landed", HANDED)
+    else:
+        asked = [mode for mode, _ in itertools.groupby(modes(craft))]
+        assert asked[-3:] == [first[1], second[1], Mode.HOLD]
+        assert craft.end().reason == Reason.NOT_OBEYING.text
+        assert "by hand" in craft.end().remedy
+
+
+@pytest.mark.parametrize("refusal", Refusal)
+def test_a_hold_for_want_of_a_plan_says_why_and_the_end_what_helps(refusal: Refusal) -> None:
+    """In the planner's own words, also if the companion is started again in the landing."""
+    land = replace(AWAY, fallback=Fallback.LAND)
+    craft = Craft(land, plan=lambda asked: NotPlanned(plan_id=asked.plan_id, refusal=refusal))
+    end = told(craft, LANDING, Craft.restart, DONE).end()
+    why, _, remedy = refusal.value.partition("; ")
+    said = Reason.NO_PLAN.text + (f": {why}" if refusal is not Refusal.NOTHING_SAFE else "")
+    assert f"hold: {said}" in warnings(craft.commands)
+    assert (end.outcome, end.reason) == (Outcome.FAILED, f"landed: {said}")
+    assert end.remedy.lower() == f"{remedy}.".lower() != Reason.NO_PLAN.remedy.lower()
+
+
+def test_what_was_flown_of_the_way_back_before_a_pause_is_not_left_to_fly() -> None:
+    back = flying(AWAY, plan=home_or_on)
+    craft = told(back, RETURN, RETURNING, 10.0, PAUSE, HOLDING, 5.0)
+    left_s = math.dist(craft.here[:2], (0.0, 0.0)) / craft.state.task.limits.speed_m_s
+    state = replace(craft.state, vehicle=replace(craft.state.vehicle, battery=1.0))
+    for share, lasts in ((0.98, False), (1.02, True)):
+        mission = replace(AWAY, reserve=0.0, endurance_s=share * left_s)
+        assert battery_lasts(state, mission) is lasts
+
+
+def test_every_reason_says_what_happened_and_what_to_do_in_a_text_of_50_bytes() -> None:
+    texts = [reason.text for reason in Reason]
+    assert len(set(texts)) == len(texts)
+    for reason in Reason:
+        assert len(reason.text.encode()) + len("hold: ") <= 60
+        assert reason.remedy.endswith(".")
+        assert reason.text == reason.text.strip().rstrip(".")

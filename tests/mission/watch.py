@@ -1,17 +1,17 @@
 """Laws of the mission machine, checked at each step by one who only sees events and commands.
 
 The watch believes nothing that the machine says of itself: it works out by its own, simpler, means
-whether the position may be trusted, whose the mode is, which paths are proven and newest, and when
-the last word was said.
+whether the position may be trusted, whose the mode is, which paths are proven and newest, when the
+last word was said, and what people have ordered: a pause is kept until a word ends it, or the
+battery; told to return, it flies to no target any more, told to land, nowhere; what was planned
+before an order is not flown after it; and with a battery below its reserve it leads to no target.
 """
 
 import math
 import operator
-from collections import Counter
 from typing import Any
 
 import numpy as np
-from watch_orders import WatchOrders
 
 from companion.mavlink.autopilots import Autopilot
 from companion.mavlink.autopilots.messages import To
@@ -20,28 +20,25 @@ from companion.mission.decisions import Context
 from companion.mission.events import Command, Event, Landed, Mode, OrderKind, Position, Setpoint
 from companion.mission.mission import Mission
 from companion.mission.phases import Phase, Reason, Trigger
-from companion.mission.state import State
+from companion.mission.state import Goal, State
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Leg
-from companion.planner.request import Backtrack, Planned, PlanOutcome, PlanRequest
+from companion.planner.request import Backtrack, Planned, PlanOutcome
 
 OVER = (Phase.DONE, Phase.FAULTED)
 MOVING = (events.SetMode, Setpoint, events.Arm, events.TakeOff, events.SetSpeed)
 """Commands that move a vehicle."""
 STREAMS = (Phase.FLYING, Phase.HOLDING, Phase.ARRIVED, Phase.RETURNING)
 ARROWS = {(phase, trigger.after) for trigger in Trigger for phase in trigger.origins}
-WITH_A_PERSON = (Reason.MODE_TAKEN, Reason.FAILSAFE, Reason.FENCE_BREACHED, Reason.PAUSED)
+TAKEN = (Reason.MODE_TAKEN, Reason.FAILSAFE, Reason.FENCE_BREACHED)
+WITH_A_PERSON = (*TAKEN, Reason.PAUSED)
 """What a vehicle may be held for as long as it takes: somebody else has the say."""
-NOT_OURS = (
-    Reason.MODE_TAKEN,
-    Reason.FAILSAFE,
-    Reason.FENCE_BREACHED,
-    Reason.LINK_LOST,
-    Reason.DISARMED,
-    Reason.GROUNDED,
-)
+NOT_OURS = (*TAKEN, Reason.LINK_LOST, Reason.DISARMED, Reason.GROUNDED)
 SETTLES_S, HOLD_S, SLACK_S, TOUCHES_S = 30.0, 300.0, 5.0, 1.5
+SETS_OUT = (Phase.FLYING, Phase.RETURNING)
+SHORT_S, AT_ONCE_S = 3.0, 2.0
+STOPS_S = 45.0  # braking, with a vehicle that may be stuck for 30 s
 ON_SETPOINTS = (
     Reason.NO_PLAN,
     Reason.PLAN_LATE,
@@ -64,20 +61,17 @@ class Watch:
         self.mission, self.traits, self.context = mission, traits, context
         self.autopilot = autopilot
         self.limits = mission.task.limits
-        self.counts: Counter[str] = Counter()
         self.phases: set[Phase] = set()
         self.reasons: set[Reason] = set()
         self.commands: set[type[Any]] = set()
         self.proven: set[bytes] = set()
         """Control points of the paths that may be flown."""
         self.newest = 0
-        self.answers: dict[int, PlanOutcome] = {}
-        self.ends = 0
         self.flown = False
         """Whether it was ever heard to be armed and in the air."""
         self.orders = WatchOrders(mission)
-        self.forget(0.0)
         self.setpoints = 0
+        self.forget(0.0)
 
     def forget(self, now_s: float) -> None:
         """Nothing is known of the vehicle (any more)."""
@@ -94,10 +88,6 @@ class Watch:
         self.key: Any = None
         self.last: Setpoint | None = None
 
-    def rebooted(self, now_s: float) -> None:
-        """The vehicle's clock begins again."""
-        self.forget(now_s)
-
     def restarted(self, now_s: float, *, forgotten: bool = False) -> None:
         """Another companion goes on from the checkpoint: it has yet to hear everything.
 
@@ -106,14 +96,9 @@ class Watch:
         self.forget(now_s)
         self.orders.forgotten() if forgotten else self.orders.restarted()
 
-    def answered(self, request: PlanRequest, outcome: PlanOutcome) -> None:
-        """What the planner will answer: only what is proven may ever be flown."""
-        self.answers[request.plan_id] = outcome
-
     # --- one step
 
     def saw(self, before: State, event: Event, after: State, commands: list[Command]) -> None:
-        self.counts[type(event).__name__] += 1
         if before.phase in OVER:
             assert after is before, "something changed after the end"
             assert not commands, "something was said after the end"
@@ -136,6 +121,8 @@ class Watch:
                 self._setpoint(before, after, command)
             elif isinstance(command, events.Arm | events.TakeOff):
                 self._up(before, command)
+            elif isinstance(command, events.StartScan) and new:
+                self._looks(after)
             elif isinstance(command, events.Plan):
                 assert command.request.plan_id > self.newest, "an old number for a new plan"
                 self.newest = command.request.plan_id
@@ -169,12 +156,9 @@ class Watch:
             case Position() if self.position is None or now > self.position.time_s:
                 self._hear_position(event)
                 return True
-            case events.VehicleFound():
-                pass
             case _:
                 pass
-        if self.armed and self.landed in (Landed.IN_AIR, Landed.TAKING_OFF, Landed.LANDING):
-            self.flown = self.flown or self.landed is Landed.IN_AIR
+        self.flown |= self.armed and self.landed is Landed.IN_AIR
         if self.mode is not Mode.GUIDED:
             self.not_guided_at_s = max(now, self.not_guided_at_s)
         return False
@@ -191,8 +175,8 @@ class Watch:
             > 1.5 * top * (now - last.time_s) + 20.0
         ):
             self.jumped_at_s = now
-        still = last.position_nea_m[:2] == event.position_nea_m[:2]
-        if not still or math.hypot(*event.velocity_nea_m_s[:2]) <= 1.0:
+        moves = last.position_nea_m[:2] != event.position_nea_m[:2]
+        if moves or math.hypot(*event.velocity_nea_m_s[:2]) <= 1.0:
             self.moved_at_s = now
 
     def _prove(self, outcome: PlanOutcome) -> None:
@@ -223,13 +207,10 @@ class Watch:
             if after.phase in (Phase.FLYING, Phase.RETURNING, Phase.LANDING):
                 self.told_by_person = False
         ends = [command for command in commands if isinstance(command, events.End)]
-        self.ends += len(ends)
         assert len(ends) == (after.phase in OVER), "an end is said once, when it is over"
         for end in ends:
             assert end.reason
-            assert end.remedy or end.outcome is events.Outcome.ARRIVED, (
-                "no next action for the person"
-            )
+            assert end.remedy or end.outcome is events.Outcome.ARRIVED, "no remedy"
             if end.reason == Reason.NOT_ALONE.text:
                 told = [command for command in commands if isinstance(command, MOVING)]
                 assert not told, "another companion's vehicle was told something"
@@ -239,8 +220,7 @@ class Watch:
         said = f"{command} in {before.phase} ({before.reason}), mode {self.mode}"
         if before.phase is Phase.ARMING or after.phase in (Phase.ARMING, Phase.TAKING_OFF):
             return
-        taken = before.reason in (Reason.MODE_TAKEN, Reason.FAILSAFE, Reason.FENCE_BREACHED)
-        if before.phase is Phase.HOLDING and taken:
+        if before.phase is Phase.HOLDING and before.reason in TAKEN:
             if self.mode is not Mode.GUIDED:
                 assert self.told_by_person, f"fought for the vehicle: {said}"
         elif self.mode not in (Mode.GUIDED, Mode.HOLD, Mode.TAKE_OFF):
@@ -303,7 +283,8 @@ class Watch:
         if after.path is None:  # ended in this step, and with it the join
             allowed_m += 0.3 * self._joining(before, 1)
         if any(leg is not None and leg.reaches_target for leg in legs):
-            allowed_m += 0.25 * before.task.limits.loiter_radius_m  # a plane passes its target
+            settings, radius_m = before.task.settings, before.task.limits.loiter_radius_m
+            allowed_m += min(settings.safety_distance_m, 0.25 * radius_m)  # a plane passes it
         assert min(beside_m, default=math.inf) <= allowed_m, "led beside every proven path"
 
     def _legs(self, before: State, event: Event, after: State) -> None:
@@ -318,6 +299,16 @@ class Watch:
             if leg is not None:
                 name = _name(leg.subpath)
                 assert name in self.proven, "a leg that nobody has proven, or for an old question"
+
+    def _looks(self, after: State) -> None:
+        """No leg is planned from where the vehicle was sent to stay before it is there."""
+        if after.path is not None or self.last is None or self.context.shadow:
+            return
+        assert self.position is not None
+        apart_m = math.dist(self.position.position_nea_m[:2], self.last.position_nea_m[:2])
+        near_m = 5.0 if self.traits.hovers else self.limits.loiter_radius_m
+        near_m += 0.0 if self.traits.hovers else self.limits.tracking_error_m
+        assert apart_m <= near_m + 1e-5, f"looks for a leg from a place {apart_m:.0f} m away"
 
     def _up(self, before: State, command: events.Arm | events.TakeOff) -> None:
         assert self.landed is Landed.ON_GROUND, f"{command} in the air"
@@ -412,3 +403,92 @@ def off_m(path: Subpath, point: tuple[float, float, float]) -> float:
     squared = max(sum(x * x for x in along), 1e-12)
     share = min(max(sum(x * y for x, y in zip(along, aside, strict=True)) / squared, 0.0), 1.0)
     return math.dist([share * x for x in along], aside)
+
+
+# --- what people order, and the battery
+
+
+class WatchOrders:
+    """Sees every step of one program; AssertionError where a law is broken."""
+
+    def __init__(self, mission: Mission) -> None:
+        self.mission = mission
+        self.goals = set(mission.targets_ne_m)
+        """Where anybody ever wanted it to fly to; home is not among them."""
+        self.kept = 0
+        """How often there was something to keep."""
+        self.forgotten()
+
+    def forgotten(self) -> None:
+        """A companion that knows nothing of it goes on."""
+        self.paused = self.returns = self.lands = False
+        self.orders = self.orders_when_asked = 0
+        self.short_at_s, self.battery_at_s = math.inf, 0.0
+
+    def restarted(self) -> None:
+        """Another companion goes on from the checkpoint: the battery it has yet to hear of."""
+        self.short_at_s = math.inf
+
+    def saw(self, before: State, event: Event, after: State, commands: list[Command]) -> None:
+        """One step."""
+        self._hear(before, event)
+        if after.goal is Goal.DOWN or after.reason is Reason.BATTERY_LOW:
+            self.paused = False
+        self.kept += self.paused or self.returns or self.lands or self._low_s > SHORT_S
+        target = after.targets_ne_m[after.flight.target] if after.targets_ne_m else None
+        if after.phase is not before.phase and after.phase in SETS_OUT:
+            assert not self.paused, f"set out in a pause: {before.reason} -> {after.phase}"
+            assert not self.lands, f"told to land, and sets out: {before.reason}"
+            outward = after.phase is Phase.FLYING and target in self.goals
+            assert not (self.returns and outward), "told to return, and flies to a target"
+        held = after.phase is Phase.HOLDING and before.phase is not Phase.HOLDING
+        old = isinstance(event, events.PlanReady) and self.orders != self.orders_when_asked
+        if old and not held:
+            legs = [(p.leg, p.next_leg) if (p := each.path) else None for each in (before, after)]
+            assert legs[0] == legs[1], "a plan from before the order"
+            assert after.phase is not Phase.RETURNING or before.phase is Phase.RETURNING, (
+                "a way back from before the order"
+            )
+        for command in commands:
+            if isinstance(command, events.Plan):
+                self.orders_when_asked = self.orders
+                assert not self.lands or after.phase is Phase.SHADOW, "told to land, and plans"
+                if command.request.flown is None and command.request.target_ne_m in self.goals:
+                    assert not self.paused, "plans in a pause"
+                    assert not self.returns, "told to return, and plans to a target"
+                    assert self._low_s <= SHORT_S + AT_ONCE_S, "plans to a target with no battery"
+            elif isinstance(command, Setpoint) and not command.stay and target in self.goals:
+                low = after.phase is Phase.FLYING and self._low_s > SHORT_S + STOPS_S
+                assert not low, "led to a target with no battery"
+
+    @property
+    def _low_s(self) -> float:
+        """For how long all that was heard of the battery was below its reserve."""
+        return self.battery_at_s - self.short_at_s
+
+    def _hear(self, before: State, event: Event) -> None:
+        match event:
+            case events.Battery(remaining=left):
+                self.battery_at_s = event.time_s
+                since_s = min(self.short_at_s, event.time_s)
+                self.short_at_s = since_s if left < self.mission.reserve else math.inf
+            case events.Rebooted():
+                self.short_at_s = math.inf
+            case events.TargetsChanged(targets_ne_m=targets):
+                self.goals |= set(targets)
+                self.short_at_s = math.inf
+            case events.Order(kind=OrderKind.REPOSITION, target_ne_m=target) if target is not None:
+                self.goals.add(target)
+                self.paused = self.returns = self.lands = False
+                self.short_at_s, self.orders = math.inf, self.orders + 1
+            case events.Order(kind=OrderKind.PAUSE):
+                self.paused, self.orders = True, self.orders + 1
+            case events.Order(kind=OrderKind.START | OrderKind.CONTINUE):
+                self.paused = False
+            case events.Order(kind=OrderKind.RETURN):
+                self.paused, self.returns = False, not before.flight.returning
+                self.lands = False
+            case events.Order(kind=OrderKind.LAND) if before.phase is not Phase.LANDING:
+                self.paused, self.lands = False, True
+            case _:
+                pass
