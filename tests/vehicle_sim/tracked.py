@@ -2,7 +2,7 @@
 
 ardupilot.md 3 (ArduCopter) and 7 (ArduPlane), px4.md 5 (multicopter) and 10 (fixed wing): their
 tables, and how it is measured there.  Lengths in metres, angles in radians unless named; vectors
-are north, east, down.
+are north, east, down, and what is level is north + east j.
 """
 
 import cmath
@@ -13,9 +13,11 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from harness import NAN, STEP_S, ZERO, Rig, Vector, circling, copied, cruising, hover, hovering
+from numpy.typing import NDArray
 
 from vehicle_sim.geodesy import FloatArray
 
+Level = NDArray[np.complex128]
 SWING_RAD: Final = 2.404825557695773
 """First zero of J0: a route that swings so far to both sides closes."""
 
@@ -26,35 +28,32 @@ class Sine:
     def __init__(
         self, swing_rad: float, wave_m: float, length_m: float, step_m: float, begins_rad: float = 0
     ) -> None:
-        self.step_m = step_m
-        phase = begins_rad + math.tau / wave_m * step_m * np.arange(round(length_m / step_m))
-        middle = swing_rad * np.sin(phase + 0.5 * math.tau / wave_m * step_m)
-        steps = step_m * np.stack([np.cos(middle), np.sin(middle)], axis=-1)
-        self.ne_m: FloatArray = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)[:-1]])
+        self.step_m, turn_1_m = step_m, math.tau / wave_m
+        phase = begins_rad + turn_1_m * step_m * np.arange(round(length_m / step_m))
+        steps = step_m * np.exp(1j * swing_rad * np.sin(phase + 0.5 * turn_1_m * step_m))
+        self.at: Level = np.cumsum(steps) - steps
         self.heading_rad = swing_rad * np.sin(phase)
-        self.curvature_1_m = swing_rad * math.tau / wave_m * np.cos(phase)
+        self.way: Level = np.exp(1j * self.heading_rad)
+        self.curvature_1_m = swing_rad * turn_1_m * np.cos(phase)
 
     def ahead(self, index: int, metres: float) -> int:
         """Index of the point so much further on."""
-        return (index + round(metres / self.step_m)) % len(self.ne_m)
+        return (index + round(metres / self.step_m)) % len(self.at)
 
-    def point(self, index: int) -> tuple[float, float]:
-        """North and east."""
-        north_m, east_m = self.ne_m[index % len(self.ne_m)].tolist()
-        return north_m, east_m
-
-    def bends(self, index: int) -> tuple[complex, float]:
-        """The unit vector of its heading, north + east j, and its curvature."""
-        return cmath.rect(1.0, self.heading_rad[index]), float(self.curvature_1_m[index])
-
-    def nearest(self, ne_m: tuple[float, float], near: int) -> tuple[int, float]:
+    def nearest(self, here: complex, near: int) -> tuple[int, float]:
         """Index of the nearest point within 100 m of another, and how far right of it this is."""
         reach = round(100.0 / self.step_m)
-        indices = (near + np.arange(-reach, reach + 1)) % len(self.ne_m)
-        off = np.array(ne_m) - self.ne_m[indices]
-        best = int(np.argmin((off * off).sum(axis=-1)))
-        way, _ = self.bends(int(indices[best]))
-        return int(indices[best]), float(off[best, 1] * way.real - off[best, 0] * way.imag)
+        indices = (near + np.arange(-reach, reach + 1)) % len(self.at)
+        index = int(indices[np.argmin(np.abs(here - self.at[indices]))])
+        return index, float(((here - self.at[index]) / self.way[index]).imag)
+
+    def followed(self, places: Level, begin: int = 0) -> tuple[FloatArray, FloatArray]:
+        """Of each place in turn: metres along, lap after lap, and how far right.  -> two of (T,)"""
+        found = list[tuple[int, float]]()
+        for here in places.tolist():
+            found.append(self.nearest(here, found[-1][0] if found else begin))
+        index, right_m = np.array(found).T
+        return np.unwrap(index, period=len(self.at)) * self.step_m, right_m
 
 
 Off = namedtuple("Off", "rms_m most_m speed_m_s")
@@ -65,7 +64,7 @@ def _rms(values: Any) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _flat(level: complex, down: float) -> Vector:
+def _flat(level: complex, down: float = 0.0) -> Vector:
     return level.real, level.imag, down
 
 
@@ -74,20 +73,12 @@ class Seen(NamedTuple):
 
     step: FloatArray
     """Of the rig: the one that has been flown."""
-    ned_m: FloatArray
-    """Where it believed to be.  (T, 3)"""
-    neu_m_s: FloatArray
-    """How it moved.  (T, 3)"""
+    ne_m: Level
+    """Where it believed to be."""
+    down_m: FloatArray
+    moves_m_s: Level
+    climb_m_s: FloatArray
     lean_deg: FloatArray
-
-    @property
-    def ne_m(self) -> FloatArray:
-        """North + east j."""
-        return self.ned_m[:, 0] + 1j * self.ned_m[:, 1]
-
-    @property
-    def speed_m_s(self) -> FloatArray:
-        return np.hypot(*self.neu_m_s[:, :2].T)
 
 
 def _flown(
@@ -100,8 +91,10 @@ def _flown(
             send(k, seen)
         rig.step()
         if k % 5 == 0 and k * STEP_S >= since_s:
+            (north, east, down), moves = rig.ned_m, vehicle.velocity_m_s
             lean_rad = math.acos(math.cos(vehicle.roll_rad) * math.cos(vehicle.pitch_rad))
-            seen.append((k, rig.ned_m, vehicle.velocity_neu_m_s, math.degrees(lean_rad)))
+            lean_deg, climb_m_s = math.degrees(lean_rad), vehicle.velocity_up_m_s
+            seen.append((k, complex(north, east), down, moves, climb_m_s, lean_deg))
     return Seen(*map(np.array, zip(*seen, strict=True)))
 
 
@@ -123,10 +116,15 @@ def aim(it: Rig, kind: str, position: Vector, *derivatives: Vector) -> None:
         it.aim(position, *derivatives[: kind.count("+")])
 
 
-def smooth(ramp: float) -> float:
-    """A ramp from 0 to 1 without a corner."""
-    ramp = min(ramp, 1.0)
-    return ramp * ramp * (3.0 - 2.0 * ramp)
+def _ramp(share: Any) -> Any:
+    """From 0 to 1 without a corner."""
+    share = np.minimum(share, 1.0)
+    return share * share * (3.0 - 2.0 * share)
+
+
+def _moved(rate: Any) -> Any:
+    """What a rate of each step has come to before it."""
+    return (np.cumsum(rate, axis=0) - rate) * STEP_S
 
 
 def weave(speed_m_s: float, lateral_m_s2: float, seconds: float) -> tuple[FloatArray, ...]:
@@ -134,21 +132,17 @@ def weave(speed_m_s: float, lateral_m_s2: float, seconds: float) -> tuple[FloatA
     acceleration, speed ramped up smoothly at 1 m/s2, and climbs of 1 m/s.  -> three of (T, 3).
     """
     time_s, w = STEP_S * np.arange(round(seconds / STEP_S)), math.tau / PERIOD_S
-    share = np.array([smooth(t / (1.5 * speed_m_s)) for t in time_s])
+    share = _ramp(time_s / (1.5 * speed_m_s))
     course = lateral_m_s2 / (speed_m_s * w) * share * np.sin(w * time_s)
-    down_m_s = -share * np.sin(math.tau / 40.0 * time_s)
-    level_m_s = speed_m_s * share
-    velocity = np.stack([level_m_s * np.cos(course), level_m_s * np.sin(course), down_m_s], axis=-1)
-    position = (0.0, 0.0, -30.0) + (np.cumsum(velocity, axis=0) - velocity) * STEP_S
-    return position, velocity, np.gradient(velocity, STEP_S, axis=0)
+    level, down_m_s = speed_m_s * share, -share * np.sin(math.tau / 40.0 * time_s)
+    velocity = np.stack([level * np.cos(course), level * np.sin(course), down_m_s], axis=-1)
+    return _moved(velocity) - (0.0, 0.0, 30.0), velocity, np.gradient(velocity, STEP_S, axis=0)
 
 
 Weave = namedtuple(
     "Weave", "speed_m_s lateral_m_s2 lean_deg kind rate_hz along_m off_rms_m off_max_m"
 )
 """A row of the document's table, or how it was flown: along is a mean, negative behind."""
-
-
 WEAVES = (
     Weave(5, 1.0, 30, "position", 10, -10.3, 0.52, 0.8),
     Weave(5, 1.0, 30, "pos+vel", 4, -0.2, 0.64, 0.9),
@@ -196,8 +190,6 @@ def fly_weave(row: Weave, *, seconds: float = 90.0) -> Weave:
 
 Stop = namedtuple("Stop", "kind timeout_s brakes_s still_s furthest_m ends_m")
 """A stream at 10 m/s that ends: seconds and metres from its last setpoint."""
-
-
 STOPS = (
     Stop("position", 3.0, None, 6.4, 0.8, 0.0),
     Stop("pos+vel", 3.0, 3.7, 7.1, 53.7, 30.0),
@@ -213,16 +205,16 @@ STOPS = (
 def end_stream(row: Stop) -> Stop:
     """Fly straight at 10 m/s for 35 s, end the stream, and measure."""
     it, last = hovering(GUID_TIMEOUT=row.timeout_s, WPNAV_SPEED=1000.0), 3490
-    speed = np.array([10.0 * smooth(k * STEP_S / 15.0) for k in range(last + 1)])
-    north = ((np.cumsum(speed) - speed) * STEP_S).tolist()
+    speed = 10.0 * _ramp(np.arange(last + 1) * STEP_S / 15.0)
+    north = _moved(speed).tolist()
 
     def send(k: int, _: Any) -> None:
         if k <= last:
             aim(it, row.kind, (north[k], 0.0, -30.0), (float(speed[k]), 0.0, 0.0), ZERO)
 
     seen = _flown(it, 65.0, 10.0, send, since_s=last * STEP_S)
-    after_s, ahead_m = (seen.step + 1 - last) * STEP_S, seen.ned_m[:, 0] - north[last]
-    brakes_s, still_s = (after_s[seen.neu_m_s[:, 0] < slow][0] for slow in (9.5, 0.1))
+    after_s, ahead_m = (seen.step + 1 - last) * STEP_S, seen.ne_m.real - north[last]
+    brakes_s, still_s = (after_s[seen.moves_m_s.real < slow][0] for slow in (9.5, 0.1))
     return Stop(row.kind, row.timeout_s, brakes_s, still_s, ahead_m.max(), ahead_m[-1])
 
 
@@ -233,8 +225,6 @@ Jump = namedtuple(
 )
 """A jump of the target at this speed, or from hover: the peak of the speed, horizontal or for a
 vertical jump vertical; until it is within 1 m for good; the peak of the speed across."""
-
-
 JUMPS = (
     Jump("5 m sideways", "pos+vel+acc", (0.0, 5.0, 0.0), 6.0, 6.5, 2.6, 0.3, 24.0, 2.5),
     Jump("20 m sideways", "pos+vel+acc", (0.0, 20.0, 0.0), 6.0, 8.1, 5.6, 0.6, 30.0, 5.4),
@@ -250,9 +240,8 @@ JUMPS = (
 def jump(row: Jump) -> Jump:
     """Fly on for 30 s, move the target, and measure along the jump."""
     it, jumps_s = hovering(60.0, GUID_TIMEOUT=3.0, WPNAV_SPEED=1000.0), 30.0
-    speed = np.minimum(np.arange(6500) * STEP_S, row.speed_m_s)
-    targets = np.zeros((6500, 3))
-    targets[:, 0], targets[:, 2] = (np.cumsum(speed) - speed) * STEP_S, -60.0
+    speed, targets = np.minimum(np.arange(6500) * STEP_S, row.speed_m_s), np.zeros((6500, 3))
+    targets[:, 0], targets[:, 2] = _moved(speed), -60.0
     targets[round(jumps_s / STEP_S) :] += row.ned_m
 
     def send(k: int, _: Any) -> None:
@@ -260,99 +249,79 @@ def jump(row: Jump) -> Jump:
         aim(it, row.kind, (north, east, down), (float(speed[k]), 0.0, 0.0), ZERO)
 
     seen = _flown(it, 65.0, 10.0, send, since_s=jumps_s)
-    away, axis = targets[seen.step] - seen.ned_m, int(np.argmax(np.abs(row.ned_m)))
+    ned_m = np.stack([seen.ne_m.real, seen.ne_m.imag, seen.down_m], axis=-1)
+    away, axis = targets[seen.step] - ned_m, int(np.argmax(np.abs(row.ned_m)))
     # a stream of positions alone is trailed: then only the way across counts
     far = np.abs(away[:, axis]) if row.kind == "position" else np.linalg.norm(away, axis=-1)
     return row._replace(
-        peak_m_s=(np.abs(seen.neu_m_s[:, 2]) if row.ned_m[2] else seen.speed_m_s).max(),
+        peak_m_s=np.abs(seen.climb_m_s if row.ned_m[2] else seen.moves_m_s).max(),
         within_s=float(np.flatnonzero(far > 1.0)[-1] + 1) * 5 * STEP_S,
         overshoot_m=max(0.0, (-np.sign(row.ned_m[axis]) * away[:, axis]).max()),
         tilt_deg=seen.lean_deg.max(),
-        lateral_m_s=np.abs(seen.neu_m_s[:, 1]).max(),
+        lateral_m_s=np.abs(seen.moves_m_s.imag).max(),
     )
 
 
 # --- PX4's multicopter: px4.md 5 ------------------------------------------------------------------
 
-LENGTH_M, _HEIGHT_M, _WAVE_M = 756.0, 20.0, 3.0
-"""The route is a figure eight of least radius 50 m, with 3 m of height up and down."""
-_RUN_S, _RAMP_M_S2 = 42.0, 2.0
-
-
-class Curve(Sine):
-    """The figure eight, with heights and what the target does on it."""
-
-    def __init__(self) -> None:
-        super().__init__(SWING_RAD, LENGTH_M, LENGTH_M, 0.02)
-
-    def at(self, along_m: float, speed_m_s: float) -> tuple[Vector, Vector, Vector, float]:
-        """Position, velocity, acceleration and yaw of the target there."""
-        index, phase = self.ahead(0, along_m), math.tau * along_m / LENGTH_M
-        way, curvature = self.bends(index)
-        slope = -_WAVE_M * math.tau / LENGTH_M * math.cos(phase)
-        return (
-            (*self.point(index), -_HEIGHT_M - _WAVE_M * math.sin(phase)),
-            _flat(speed_m_s * way, speed_m_s * slope),
-            _flat(1j * speed_m_s * speed_m_s * curvature * way, 0.0),
-            float(self.heading_rad[index]),
-        )
-
-    def along(self, ne_m: tuple[float, float], near_m: float) -> tuple[float, float]:
-        """Metres along the curve of the nearest point, and how far right of it this is."""
-        index, right_m = self.nearest(ne_m, self.ahead(0, near_m))
-        laps = round((near_m - index * self.step_m) / LENGTH_M)
-        return index * self.step_m + laps * LENGTH_M, right_m
-
-
+EIGHT: Final = Sine(SWING_RAD, 756.0, 756.0, 0.02)
+"""A figure eight of least radius 50 m."""
+_LENGTH_M, _HEIGHT_M, _WAVE_M, _RAMP_M_S2 = 756.0, 20.0, 3.0, 2.0
+"""With 3 m of height up and down, and of a target that gathers speed."""
 Tracking = namedtuple(
     "Tracking", "along_mean_m along_max_m cross_rms_m cross_max_m altitude_rms_m speed_m_s"
 )
 """How well; along is NaN where it was not measured."""
-
-
 Eight = namedtuple("Eight", "kind speed_m_s rate_hz real lead_s carrot_m", defaults=(0.0, None))
 """One row: a target sent so far ahead of its time, or positions alone so far ahead of the nearest
 point, whatever the time is."""
 
 
-def _moved(elapsed_s: float, speed_m_s: float) -> tuple[float, float]:
-    """Distance of a target that gathers speed, and how fast it is."""
-    ramp_s = speed_m_s / _RAMP_M_S2
-    if elapsed_s < ramp_s:
-        return 0.5 * _RAMP_M_S2 * elapsed_s * elapsed_s, _RAMP_M_S2 * elapsed_s
-    return speed_m_s * (elapsed_s - 0.5 * ramp_s), speed_m_s
+def _down_m(along_m: Any) -> Any:
+    return -_HEIGHT_M - _WAVE_M * np.sin(math.tau * along_m / _LENGTH_M)
 
 
 def fly_eight(row: Eight) -> Tracking:
     """One run of 42 s; measured 2 s after the target has gathered its speed, at 9 s at least."""
-    rig, curve, reached_m = hover(20.0), Curve(), 0.0
-    begins_s = max(9.0, row.speed_m_s / _RAMP_M_S2 + 2.0)
+    rig, index, ramp_s = hover(20.0), 0, row.speed_m_s / _RAMP_M_S2
+
+    def moved(elapsed_s: Any) -> tuple[Any, Any]:
+        """Distance of the target, and how fast it is."""
+        ramped_s = np.minimum(elapsed_s, ramp_s)
+        moving_m_s = _RAMP_M_S2 * ramped_s
+        return moving_m_s * (elapsed_s - 0.5 * ramped_s), moving_m_s
 
     def send(k: int, _: Any) -> None:
-        nonlocal reached_m
-        target_m, moving_m_s = _moved(k * STEP_S, row.speed_m_s)
+        nonlocal index
+        target_m, moving_m_s = map(float, moved(k * STEP_S))
         target_m += moving_m_s * row.lead_s
         if row.carrot_m is not None:
-            reached_m, _ = curve.along(rig.ne_m, reached_m)
-            target_m = reached_m + row.carrot_m
-        position, velocity, acceleration, yaw_rad = curve.at(target_m, moving_m_s)
+            index, _ = EIGHT.nearest(complex(*rig.ne_m), index)
+            target_m = index * EIGHT.step_m + row.carrot_m
+        there, phase = EIGHT.ahead(0, target_m), math.tau * target_m / _LENGTH_M
+        sinks_m_s = -moving_m_s * _WAVE_M * math.tau / _LENGTH_M * math.cos(phase)
+        way, bend_1_m = EIGHT.way[there], EIGHT.curvature_1_m[there]
         rig.aim(
-            None if row.kind == "velocity" else position,
-            None if row.kind == "position" else velocity,
-            acceleration if row.kind == "pos + vel + acc" else None,
-            yaw_rad,
+            None if row.kind == "velocity" else _flat(EIGHT.at[there], float(_down_m(target_m))),
+            None if row.kind == "position" else _flat(moving_m_s * way, sinks_m_s),
+            _flat(1j * moving_m_s**2 * bend_1_m * way) if row.kind == _PVA else None,
+            float(EIGHT.heading_rad[there]),
         )
 
-    seen, reached_m, on = _flown(rig, _RUN_S, row.rate_hz, send), 0.0, []
-    for step, ned_m in zip(seen.step, seen.ned_m, strict=True):
-        reached_m, cross_m = curve.along(ned_m[:2], reached_m)
-        behind_m = _moved((step + 1) * STEP_S, row.speed_m_s)[0] - reached_m
-        on.append((behind_m, cross_m, ned_m[2] - curve.at(reached_m, row.speed_m_s)[0][2]))
-    counts = seen.step * STEP_S >= begins_s
-    along, cross, high = np.array(on)[counts].T
-    most_m, aside_m = np.abs(along).max(), np.abs(cross).max()
-    speed_m_s = seen.speed_m_s[counts].mean()
-    return Tracking(along.mean(), most_m, _rms(cross), aside_m, _rms(high), speed_m_s)
+    seen = _flown(rig, 42.0, row.rate_hz, send)
+    along_m, cross_m = EIGHT.followed(seen.ne_m)
+    counts = seen.step * STEP_S >= max(9.0, ramp_s + 2.0)
+    behind, cross, high, speed = (
+        each[counts]
+        for each in (
+            moved((seen.step + 1) * STEP_S)[0] - along_m,
+            cross_m,
+            seen.down_m - _down_m(along_m),
+            np.abs(seen.moves_m_s),
+        )
+    )
+    most_m, aside_m = np.abs(behind).max(), np.abs(cross).max()
+    return Tracking(behind.mean(), most_m, _rms(cross), aside_m, _rms(high), speed.mean())
 
 
 def _eight(kind: str, speed: float, rate: float, figures: str, lead_s: float = 0.0) -> Eight:
@@ -405,27 +374,25 @@ def _followed(
     *,
     hz: float,
     seconds: float,
-    counts: Callable[[float, int], bool],
+    counts: Callable[[Any, Any], Any],
     begin: int = 0,
     age: int = 0,
 ) -> Off:
-    """Aim from the point nearest to where the vehicle was, so many looks ago."""
+    """Aim from the point nearest to where the vehicle was, so many looks ago; counts: which of the
+    seconds and metres along."""
     index = begin
 
     def send(_: int, seen: Sequence[Any]) -> None:
         nonlocal index
-        here = seen[-age][1] if len(seen) > age > 0 else rig.ned_m
-        index, _ = route.nearest(here[:2], index)
+        here = seen[-age][1] if len(seen) > age > 0 else complex(*rig.ne_m)
+        index, _ = route.nearest(here, index)
         aim(index)
 
-    seen, on = _flown(rig, seconds, hz, send), begin
-    flown = list[tuple[float, float]]()
-    for step, ned_m, speed_m_s in zip(seen.step, seen.ned_m, seen.speed_m_s, strict=True):
-        on, right_m = route.nearest(ned_m[:2], on)
-        if counts(step * STEP_S, on):
-            flown.append((right_m, speed_m_s))
-    off_m, speed = np.array(flown).T
-    return Off(_rms(off_m), float(np.abs(off_m).max()), float(speed.mean()))
+    seen = _flown(rig, seconds, hz, send)
+    along_m, right_m = route.followed(seen.ne_m, begin)
+    there = counts(seen.step * STEP_S, along_m)
+    off_m, speed_m_s = right_m[there], np.abs(seen.moves_m_s[there])
+    return Off(_rms(off_m), float(np.abs(off_m).max()), float(speed_m_s.mean()))
 
 
 # --- ArduPlane: ardupilot.md 7 --------------------------------------------------------------------
@@ -440,9 +407,11 @@ Law = Callable[[Rig, Sine, int], object]
 
 def look_ahead(ahead_m: float, radius_m: float) -> Law:
     """DO_REPOSITION to a point ahead on the route."""
-    return lambda rig, route, nearest: rig.reposition(
-        *route.point(route.ahead(nearest, ahead_m)), 80.0, radius_m
-    )
+
+    def send(rig: Rig, route: Sine, nearest: int) -> object:
+        return rig.reposition(*_flat(route.at[route.ahead(nearest, ahead_m)], 80.0), radius_m)
+
+    return send
 
 
 def osculating(ahead_s: float, smaller_m: float = 17.0) -> Law:
@@ -450,11 +419,11 @@ def osculating(ahead_s: float, smaller_m: float = 17.0) -> Law:
 
     def send(rig: Rig, route: Sine, nearest: int) -> object:
         index = route.ahead(nearest, ahead_s * rig.speed_m_s)
-        way, curvature = route.bends(index)
-        radius_m = min(1.0 / max(abs(curvature), 1e-6), RADIUS_MOST_M)
-        centre = complex(*route.point(index)) + 1j * math.copysign(radius_m, curvature) * way
+        bend_1_m = route.curvature_1_m[index]
+        radius_m = min(1.0 / max(abs(bend_1_m), 1e-6), RADIUS_MOST_M)
+        centre = route.at[index] + 1j * math.copysign(radius_m, bend_1_m) * route.way[index]
         radius_m = max(radius_m - smaller_m, 2.0)
-        return rig.reposition(centre.real, centre.imag, 80.0, radius_m, float(curvature < 0.0))
+        return rig.reposition(*_flat(centre, 80.0), radius_m, float(bend_1_m < 0.0))
 
     return send
 
@@ -463,7 +432,7 @@ def heading_towards(ahead_m: float, lateral_m_s2: float = 6.0) -> Law:
     """GUIDED_CHANGE_HEADING, course over ground, towards a point ahead."""
 
     def send(rig: Rig, route: Sine, nearest: int) -> object:
-        way = complex(*route.point(route.ahead(nearest, ahead_m))) - complex(*rig.ne_m)
+        way = route.at[route.ahead(nearest, ahead_m)] - complex(*rig.ne_m)
         course_deg = math.degrees(cmath.phase(way)) % 360.0
         return rig.command(43002, 0.0, course_deg, lateral_m_s2, frame=3)
 
@@ -474,10 +443,9 @@ def heading_towards(ahead_m: float, lateral_m_s2: float = 6.0) -> Law:
 def _before_the_route() -> Rig:
     """400 m south of home, where routes begin."""
     rig = circling(0.0, AIRSPEED_CRUISE=20.0)
-    rig.reposition(-900.0, 0.0, 80.0, 10.0)
-    rig.until(lambda: rig.ne_m[0] < -800.0)
-    rig.reposition(-200.0, 0.0, 80.0, 10.0)
-    rig.until(lambda: rig.ne_m[0] > -410.0)
+    for to_m, from_m in ((-900.0, -800.0), (-200.0, -410.0)):
+        rig.reposition(to_m, 0.0, 80.0, 10.0)
+        rig.until(lambda: (rig.ne_m[0] > from_m) is (to_m > -900.0))  # noqa: B023
     return rig
 
 
@@ -486,7 +454,7 @@ def off_path(law: Law, lateral_m_s2: float, *, hz: float = 4.0) -> Off:
     swing_rad, speed_m_s = math.radians(25.0), 21.0
     # curvature at most swing * 2 pi / wave = lateral / speed^2
     route = Sine(swing_rad, swing_rad * math.tau * speed_m_s**2 / lateral_m_s2, 6000.0, 1.0)
-    route.ne_m -= (400.0, 0.0)
+    route.at -= 400.0
     rig = _before_the_route()
     return _followed(
         rig,
@@ -494,7 +462,7 @@ def off_path(law: Law, lateral_m_s2: float, *, hz: float = 4.0) -> Off:
         lambda nearest: law(rig, route, nearest),
         hz=hz,
         seconds=100.0,
-        counts=lambda _, index: 400 < index < 5900,
+        counts=lambda _, along_m: (along_m > 400.0) & (along_m < 5900.0),
         age=AGE,
     )
 
@@ -540,8 +508,6 @@ def fixed_wing_route() -> Sine:
 
 FixedWing = namedtuple("FixedWing", "name kind lead_m rate_hz rms_m most_m within_m")
 """One line of the table, and how near the rms of the simulator is to be."""
-
-
 FIXED_WING: Final = (
     FixedWing("pos + vel, nearest point", "pos + vel", 0.0, 10.0, 3.8, 6.7, 0.6),
     FixedWing("pos + vel, nearest point, 2.5 Hz", "pos + vel", 0.0, 2.5, 3.9, 8.0, 1.0),
@@ -562,23 +528,23 @@ FIXED_WING: Final = (
 def fly_fixed(row: FixedWing) -> Off:
     """Fly a row: the last 70 of 95 s along the curve count."""
     route, sent = fixed_wing_route(), 0
-    heading_rad = float(route.heading_rad[_START])
-    rig = cruising(*route.point(_START), _PLANE_HEIGHT_M - 2.0, heading_rad)
+    begins, heading_rad = route.at[_START], float(route.heading_rad[_START])
+    rig = cruising(begins.real, begins.imag, _PLANE_HEIGHT_M - 2.0, heading_rad)
 
     def send(nearest: int) -> None:
         nonlocal sent
         sent += 1
         index = route.ahead(nearest, row.lead_m)
+        at, way, bend_1_m = route.at[index], route.way[index], route.curvature_1_m[index]
         if row.kind == "reposition":
-            rig.reposition(*route.point(index), _PLANE_HEIGHT_M)
+            rig.reposition(*_flat(at, _PLANE_HEIGHT_M))
             return
         if sent == 3:
             rig.set_mode("Offboard")
-        way, bend = route.bends(index)
-        lateral = _ASKED_M_S**2 * bend * (-1.0 if row.kind == "pos + vel - acc" else 1.0)
-        vectors = _flat(_ASKED_M_S * way, 0.0), _flat(1j * lateral * way, 0.0)
+        lateral = _ASKED_M_S**2 * bend_1_m * (-1.0 if row.kind == "pos + vel - acc" else 1.0)
+        vectors = _flat(_ASKED_M_S * way), _flat(1j * lateral * way)
         given = {"position": 0, "pos + vel": 1}.get(row.kind, 2)
-        rig.aim((*route.point(index), -_PLANE_HEIGHT_M), *vectors[:given])
+        rig.aim(_flat(at, -_PLANE_HEIGHT_M), *vectors[:given])
 
     return _followed(
         rig,
