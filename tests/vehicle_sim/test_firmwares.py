@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import pytest
 from harness import (
-    GCS,
     KINDS,
     Rig,
     circling,
@@ -59,32 +58,6 @@ def test_every_mode_is_flown_or_refused_with_a_word(kind: Any) -> None:
         assert client.set_mode(back) == 0
         client.run(1.0)
         assert client.last("HEARTBEAT").custom_mode == back
-
-
-@pytest.mark.parametrize(
-    ("kind", "mode", "answers", "idles_s"),
-    [
-        (KINDS[0], "GUIDED", {30.0: FAILED, 42.0: ACCEPTED}, 10.0),
-        (KINDS[1], "MANUAL", {9.5: FAILED, 20.5: FAILED, 23.1: ACCEPTED}, None),
-        (KINDS[2], "Hold", {1.0: REJECTED, 7.0: ACCEPTED}, 10.5),
-        (KINDS[3], "Hold", {1.0: REJECTED, 7.0: ACCEPTED}, None),
-    ],
-)
-def test_it_is_armed_once_its_estimator_flies_and_disarmed_if_it_only_idles(
-    kind: Any, mode: str, answers: dict[float, int], idles_s: float | None
-) -> None:
-    it = Rig(*kind)
-    for at_s, answer in answers.items():
-        it.run(at_s - it.now_s)
-        assert it.set_mode(mode) == ACCEPTED
-        assert it.arm() == answer
-        texts = it.texts()
-        assert answer == ACCEPTED or kind[0] == "px4" or texts[-1].startswith("Arm: ")
-    assert it.status.base_mode & 0x80
-    if idles_s:
-        assert it.until(lambda: not it.armed, 20.0) == approx(idles_s, abs=0.6)
-    else:
-        assert it.run(20.0).armed
 
 
 @ALL_FOUR
@@ -190,62 +163,6 @@ def test_an_endless_jump_between_nothings_ends() -> None:
     here, route = Place(47.0, 8.0, 488.0), Route(first_item=1)
     assert route.seek((nothing, forever), 1, (here, here, 488.0), now_s=0.0) is None
     assert route.complete
-
-
-# --- failsafes ------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("make", "parameter", "action", "begins", "after_s", "mode"),
-    [
-        (hovering, "FS_GCS_ENABLE", 1, "GUIDED", 4.9, "RTL"),
-        (circling, "FS_GCS_ENABL", 1, "GUIDED", 4.9, "RTL"),
-        (circling, "FS_GCS_ENABL", 1, "MANUAL", 4.9, "RTL"),
-        (hover, "NAV_DLL_ACT", 3, "Offboard", 10.0, "Land"),
-    ],
-)
-def test_a_ground_station_is_missed_after_it_was_heard_whoever_else_is(
-    make: Callable[[], Rig], parameter: str, action: int, begins: str, after_s: float, mode: str
-) -> None:
-    it = make()
-    it.autopilot.parameters[parameter] = action
-    it.streamed = STOP
-    assert it.run(12.0 if begins != "MANUAL" else 0.0).set_mode(begins) == ACCEPTED
-    assert it.mode == begins
-    it.send(STATION, source=GCS)
-    other = heartbeat() if it.firmware == "px4" else STATION
-    seen = list[str]()
-    for tenth in range(round(after_s * 10.0) + 3):
-        if tenth % 5 == 0:
-            it.send(other, source=(254, 77))
-        seen.append(it.run(0.1).mode)
-    assert (seen[-6], seen[-1]) == (begins, mode)
-    if mode == "RTL":
-        it.send(STATION, source=GCS)
-        assert it.run(0.2).texts()[-1] == "GCS Failsafe Cleared"
-        assert it.mode == "RTL"
-
-
-@pytest.mark.parametrize(
-    ("make", "line", "after_s", "mode"),
-    [
-        (hovering, "battery_voltage 10 V", 9.9, "RTL"),
-        (hover, "battery 6.5 %", 0.1, "Return"),  # COM_LOW_BAT_ACT 3
-        (hover, "battery 4 %", 0.1, "Land"),
-    ],
-)
-def test_a_low_battery_is_acted_on_and_whoever_commands_another_mode_has_it(
-    make: Callable[..., Rig], line: str, after_s: float, mode: str
-) -> None:
-    it = make(**{"BATT_LOW_VOLT": 10.5, "BATT_FS_LOW_ACT": 2} if make is hovering else {})
-    it.send(STATION, source=GCS)
-    begins, it.streamed = it.mode, STOP
-    it.fault(line)
-    took_s = it.until(lambda: it.mode == mode, 15.0)
-    assert took_s == approx(after_s, abs=0.5)
-    assert it.set_mode(begins) == ACCEPTED
-    assert it.run(1.0).mode == begins
-    assert mode != "RTL" or any(text.startswith("Battery 1 is low ") for text in it.texts())
 
 
 # --- another one ----------------------------------------------------------------------------------

@@ -289,7 +289,9 @@ def _apart(ours: Any, theirs: Any, tolerance: float) -> float:
     """The most, in tolerances, of numbers or lists of them; NaN is like NaN only."""
     a, b = np.array(ours, float), np.array(theirs, float)
     unlike = (a != b) & ~(np.isnan(a) & np.isnan(b))
-    off = np.abs(a - b)[unlike] / (tolerance or 1e-300)
+    if not tolerance:
+        return math.inf if unlike.any() else 0.0
+    off = np.abs(a - b)[unlike] / tolerance
     return float(np.nan_to_num(off, nan=math.inf).max(initial=0.0))
 
 
