@@ -3,7 +3,6 @@
 scripts/bench tracking       the tables of docs/results/tracking.md
 """
 
-import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -22,9 +21,7 @@ def both(real: Any, sim: Any, **columns: str) -> dict[str, str]:
         form, _, unit = form.partition(" ")
         for whose, one in (("", real), (", sim", sim)):
             values = " / ".join(format(getattr(one, name), form) for name in fields.split("/"))
-            cells[heading.replace("_", " ") + whose] = (
-                f"{values.replace('nan', '-')} {unit}".strip()
-            )
+            cells[heading.replace("_", " ") + whose] = f"{values} {unit}".strip()
     return cells
 
 
@@ -65,13 +62,9 @@ def tracking() -> Found:
     yield "A figure eight of least radius 50 m; along and across: mean or rms / max, metres.\n"
     for row in tracked.EIGHTS:
         what = row.kind + (f", {row.lead_s} s ahead" if row.lead_s else "")
-        what += f", carrot {row.carrot_m:.0f} m" if row.carrot_m else ""
-        flown = tracked.fly_eight(row)
-        if row.carrot_m:  # its target has no time: it is not told how far along it is
-            flown = flown._replace(along_mean_m=math.nan, along_max_m=math.nan)
         yield {"v|.0f": row.speed_m_s, "setpoint": what, "Hz|.0f": row.rate_hz} | both(
             row.real,
-            flown,
+            tracked.fly_eight(row),
             along="along_mean_m/along_max_m:.1f",
             across="cross_rms_m/cross_max_m:.2f",
             height="altitude_rms_m:.2f",

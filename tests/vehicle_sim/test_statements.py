@@ -96,6 +96,18 @@ def offboard(**told: float) -> Rig:
 slow = partial(offboard, FW_AIRSPD_TRIM=12.0)
 wide, left = (partial(cruising, NAV_LOITER_RAD=radius_m) for radius_m in (150.0, -60.0))
 
+
+def raised_home() -> Rig:
+    """PX4's copter about to be in OFFBOARD: home 5 m above the origin at 488 m, ground at 480 m."""
+    rig = Rig("px4").run(4.0)
+    pilot = rig.autopilot
+    origin = pilot.estimate.origin = pilot.estimate.place.at(488.0)
+    pilot.frame = pilot.firmware.frame(origin)
+    pilot.home, pilot.ground_m = origin.at(493.0), 480.0
+    rig.command(176, 1.0, 6.0)
+    return rig
+
+
 # --- what they are told, and what is looked at then -----------------------------------------------
 
 Order, Look = Callable[[Rig], object], Callable[[Rig], Any]
@@ -131,6 +143,15 @@ def echo(it: Rig) -> Any:
 def seconds_to(reached: Callable[[Rig], bool]) -> Look:
     """How long it takes until this is so."""
     return lambda it: it.until(lambda: reached(it), 60.0)
+
+
+def aims_m(height_m: float, frame: int) -> Order:
+    """At where the origin is."""
+    return lambda it: it.aim((*it.autopilot.home[:2], height_m), frame=frame, is_global=True)
+
+
+def target_down_m(it: Rig) -> Any:
+    return it.autopilot.target.position[2]
 
 
 def goes_down(it: Rig) -> bool:
@@ -270,6 +291,10 @@ PX4: list[tuple[Callable[[], Rig], Sequence[Order], float, Look, Any]] = [
     (high, [stream(7, None, (15, 0, 0))], 0, velocity, about((11.9, 0, 0), 0.4)),
     (high, [stream(7, None, (0, 0, -6))], 0, velocity, about((0, 0, 2.8), 0.4)),
     (high, [stream(7, None, (0, 0, 6))], 0, velocity, about((0, 0, -1.6), 0.4)),
+    # frames of GLOBAL_INT; above home with the wrong sign of home's height (1, item 6): 493 m
+    (raised_home, [aims_m(498.0, frame=5)], 0, target_down_m, about(-10.0, 0.01)),
+    (raised_home, [aims_m(498.0, frame=6)], 0, target_down_m, about(-493.0, 0.01)),
+    (raised_home, [aims_m(498.0, frame=11)], 0, target_down_m, about(-490.0, 0.01)),
     # a return climbs no higher than the cone of 45 degrees, to 30 m, and comes home
     (hover, [stream(20, (20, 0, -15)), mode("Return")], 0, highest_m, about(20, 1)),
     (hover, [stream(20, (60, 0, -15)), mode("Return")], 0, highest_m, about(30, 1)),
@@ -469,25 +494,6 @@ def test_a_lost_stream_is_acted_on_after_1_1_s_and_taken_up_when_it_is_back() ->
     status = rig.status
     assert (status.intended_mode, status.system_status) == (6 << 16, 5)  # OFFBOARD, CRITICAL
     assert rig.stream(0.3, None, (5.0, 0.0, 0.0)).mode == "Offboard"
-
-
-@pytest.mark.parametrize(
-    ("frame", "z_m", "above_origin_m"),
-    [
-        (5, 498.0, 10.0),  # origin at 488 m
-        (6, 498.0, 493.0),  # 498 m above home, 5 m above the origin: with the wrong sign, 493 m
-        (11, 498.0, 490.0),  # 498 m above ground at 480 m
-    ],
-)
-def test_px4s_frames_of_global_int(frame: int, z_m: float, above_origin_m: float) -> None:
-    rig = Rig("px4").run(4.0)
-    pilot = rig.autopilot
-    origin = pilot.estimate.origin = pilot.estimate.place.at(488.0)
-    pilot.frame = pilot.firmware.frame(origin)
-    pilot.home, pilot.ground_m = origin.at(493.0), 480.0
-    rig.command(176, 1.0, 6.0)
-    rig.aim((*origin[:2], z_m), frame=frame, is_global=True)
-    assert pilot.target.position == about((0.0, 0.0, -above_origin_m), 0.01)
 
 
 def test_a_plane_without_a_position_to_go_to_keeps_its_last_commands() -> None:

@@ -5,14 +5,13 @@ tables, and how it is measured there.  Lengths in metres, angles in radians unle
 are north, east, down, and what is level is north + east j.
 """
 
-import cmath
 import math
 from collections import namedtuple
 from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from harness import NAN, STEP_S, ZERO, Rig, Vector, circling, copied, cruising, hover, hovering
+from harness import STEP_S, ZERO, Rig, Vector, circling, copied, cruising, hover, hovering
 from numpy.typing import NDArray
 
 from vehicle_sim.geodesy import FloatArray
@@ -271,10 +270,9 @@ _LENGTH_M, _HEIGHT_M, _WAVE_M, _RAMP_M_S2 = 756.0, 20.0, 3.0, 2.0
 Tracking = namedtuple(
     "Tracking", "along_mean_m along_max_m cross_rms_m cross_max_m altitude_rms_m speed_m_s"
 )
-"""How well; along is NaN where it was not measured."""
-Eight = namedtuple("Eight", "kind speed_m_s rate_hz real lead_s carrot_m", defaults=(0.0, None))
-"""One row: a target sent so far ahead of its time, or positions alone so far ahead of the nearest
-point, whatever the time is."""
+"""How well."""
+Eight = namedtuple("Eight", "kind speed_m_s rate_hz real lead_s")
+"""One row: a target sent so far ahead of its time."""
 
 
 def _down_m(along_m: Any) -> Any:
@@ -283,7 +281,7 @@ def _down_m(along_m: Any) -> Any:
 
 def fly_eight(row: Eight) -> Tracking:
     """One run of 42 s; measured 2 s after the target has gathered its speed, at 9 s at least."""
-    rig, index, ramp_s = hover(20.0), 0, row.speed_m_s / _RAMP_M_S2
+    rig, ramp_s = hover(20.0), row.speed_m_s / _RAMP_M_S2
 
     def moved(elapsed_s: Any) -> tuple[Any, Any]:
         """Distance of the target, and how fast it is."""
@@ -292,12 +290,8 @@ def fly_eight(row: Eight) -> Tracking:
         return moving_m_s * (elapsed_s - 0.5 * ramped_s), moving_m_s
 
     def send(k: int, _: Any) -> None:
-        nonlocal index
         target_m, moving_m_s = map(float, moved(k * STEP_S))
         target_m += moving_m_s * row.lead_s
-        if row.carrot_m is not None:
-            index, _ = EIGHT.nearest(complex(*rig.ne_m), index)
-            target_m = index * EIGHT.step_m + row.carrot_m
         there, phase = EIGHT.ahead(0, target_m), math.tau * target_m / _LENGTH_M
         sinks_m_s = -moving_m_s * _WAVE_M * math.tau / _LENGTH_M * math.cos(phase)
         way, bend_1_m = EIGHT.way[there], EIGHT.curvature_1_m[there]
@@ -328,11 +322,6 @@ def _eight(kind: str, speed: float, rate: float, figures: str, lead_s: float = 0
     return Eight(kind, speed, rate, Tracking(*map(float, figures.split())), lead_s)
 
 
-def _carrot(carrot_m: float, *figures: float) -> Eight:
-    real = Tracking(NAN, NAN, *figures)
-    return Eight("position", real.speed_m_s, 20.0, real, carrot_m=carrot_m)
-
-
 _P, _PV, _PVA = "position", "position + velocity", "pos + vel + acc"
 EIGHTS = (
     _eight(_P, 5.0, 20.0, "5.5 5.8 0.20 0.45 0.13 5.1"),
@@ -358,9 +347,6 @@ EIGHTS = (
     _eight(_P, 8.0, 5.0, "9.3 9.6 0.21 0.48 0.14 8.0"),
     _eight(_PVA, 8.0, 20.0, "-0.8 1.3 0.43 0.87 0.16 8.0", 0.15),
     _eight(_PVA, 10.0, 20.0, "0.3 3.1 0.61 1.06 0.07 10.3", 0.15),
-    _carrot(5.0, 0.38, 0.75, 0.10, 4.6),
-    _carrot(8.0, 0.35, 0.62, 0.10, 7.3),
-    _carrot(10.0, 0.30, 0.67, 0.12, 9.2),
 )
 
 
@@ -397,8 +383,6 @@ def _followed(
 
 # --- ArduPlane: ardupilot.md 7 --------------------------------------------------------------------
 
-RADIUS_MOST_M = 600.0
-"""Of an osculating circle: the route has straight places."""
 AGE = 3
 """Looks: a client knows where the vehicle was 0.15 s ago: telemetry at 10 Hz, and its own time."""
 Law = Callable[[Rig, Sine, int], object]
@@ -410,31 +394,6 @@ def look_ahead(ahead_m: float, radius_m: float) -> Law:
 
     def send(rig: Rig, route: Sine, nearest: int) -> object:
         return rig.reposition(*_flat(route.at[route.ahead(nearest, ahead_m)], 80.0), radius_m)
-
-    return send
-
-
-def osculating(ahead_s: float, smaller_m: float = 17.0) -> Law:
-    """DO_REPOSITION to the centre of curvature of the route some seconds ahead."""
-
-    def send(rig: Rig, route: Sine, nearest: int) -> object:
-        index = route.ahead(nearest, ahead_s * rig.speed_m_s)
-        bend_1_m = route.curvature_1_m[index]
-        radius_m = min(1.0 / max(abs(bend_1_m), 1e-6), RADIUS_MOST_M)
-        centre = route.at[index] + 1j * math.copysign(radius_m, bend_1_m) * route.way[index]
-        radius_m = max(radius_m - smaller_m, 2.0)
-        return rig.reposition(*_flat(centre, 80.0), radius_m, float(bend_1_m < 0.0))
-
-    return send
-
-
-def heading_towards(ahead_m: float, lateral_m_s2: float = 6.0) -> Law:
-    """GUIDED_CHANGE_HEADING, course over ground, towards a point ahead."""
-
-    def send(rig: Rig, route: Sine, nearest: int) -> object:
-        way = route.at[route.ahead(nearest, ahead_m)] - complex(*rig.ne_m)
-        course_deg = math.degrees(cmath.phase(way)) % 360.0
-        return rig.command(43002, 0.0, course_deg, lateral_m_s2, frame=3)
 
     return send
 
@@ -480,11 +439,8 @@ PLANE_ROWS: tuple[tuple[str, Law, float, float, tuple[float, float]], ...] = (
     ("reposition 160 m ahead, radius 10 m", look_ahead(160.0, 10.0), 2.0, 1.0, (10.6, 16.6)),
     ("reposition 200 m ahead, usual radius", look_ahead(200.0, 0.0), 2.0, 4.0, (16.6, 28.0)),
     ("reposition 300 m ahead, usual radius", look_ahead(300.0, 0.0), 2.0, 4.0, (25.0, 48.0)),
-    ("osculating circle 2 s ahead", osculating(2.0), 2.0, 4.0, (5.0, 12.0)),
-    ("heading to a point 60 m ahead", heading_towards(60.0), 2.0, 4.0, (11.0, 16.0)),
     ("reposition 110 m ahead, radius 10 m", look_ahead(110.0, 10.0), 3.5, 4.0, (9.5, 14.3)),
     ("reposition 130 m ahead, radius 10 m", look_ahead(130.0, 10.0), 3.5, 4.0, (12.1, 19.6)),
-    ("osculating circle 2 s ahead", osculating(2.0), 3.5, 4.0, (8.7, 12.0)),
 )
 """ardupilot.md 7, "Following a weaving route at 21 m/s": law, lateral acceleration of the route in
 m/s2, Hz, and what the real one was off the path, rms and most in m.  That "80 m" of the row
