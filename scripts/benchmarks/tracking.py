@@ -43,11 +43,6 @@ def tracking() -> Found:
             furthest="furthest_m:.1f",
             ends_at="ends_m:.1f",
         )
-    yield "\nJumps of the target: peak speed, and seconds until within 1 m for good.\n"
-    for jump in tracked.JUMPS:
-        sim = tracked.jump(jump)
-        told = both(jump, sim, peak="peak_m_s:.1f m/s", within="within_s:.1f s")
-        yield {"jump": jump.what} | told
     yield "\n## ArduPlane (ardupilot.md 7)\n"
     yield "A weaving route at 21 m/s; off path, rms / max, metres.\n"
     for name, law, lateral, hz, real in tracked.PLANE_ROWS:

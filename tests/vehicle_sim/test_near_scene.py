@@ -85,21 +85,6 @@ def test_tilted_beams_end_where_small_steps_first_are_inside_or_in_a_hill(seed: 
         assert length == pytest.approx(first, abs=0.05) or length > 59.9
 
 
-def test_a_beam_meets_level_ground_and_roofs_where_the_earth_has_sunk_to() -> None:
-    corners = [[-900.0, -900.0], [-900.0, 900.0], [900.0, 900.0], [900.0, -900.0]]
-    roof = {"buildings": [{"corners_ne_m": corners, "height_m": 5.0}]}
-    for things, level_m in (({}, 0.0), (roof, 5.0)):
-        made = world(**things).scene()
-        for slope in (-0.02, -0.0031, -0.00305):
-            way = np.array([[0.6, 0.8, slope]]) / math.hypot(1.0, slope)
-            eye = np.array([0.0, 0.0, GROUND_M + level_m + 1.8])
-            away = np.linspace(0.0, 700.0, 700_001)
-            radius = np.hypot(away, 6_371_009.0 + 1.8 + slope * away)  # from the earth's middle
-            low = away[radius <= 6_371_009.0]
-            expected = low[0] * math.hypot(1.0, slope) if len(low) and low[0] <= 600.0 else math.inf
-            assert made.ray_lengths_m(eye, way, 600.0)[0] == pytest.approx(expected, abs=0.01)
-
-
 def test_a_wire_is_touched_and_not_seen() -> None:
     made = world(wires=[{"ends_ne_m": [[10.0, -5.0], [10.0, 5.0]], "height_m": 8.0}]).scene()
     at = np.array([0.0, 0.0, GROUND_M + 8.0])

@@ -213,7 +213,9 @@ SLOWLY = command(SPEED, 1, 2.0, -1.0)
 TAKES_OFF = command(TAKE_OFF, 0, 0, 0, NAN, *NOWHERE)
 GOES_TO_500_M = command(TAKE_OFF, 0, 0, 0, *NOWHERE, 500.0, frame=0)
 
-COPTER: list[tuple[Callable[[], Rig], Sequence[Order], float, Look, Any]] = [
+Rows = list[tuple[Callable[[], Rig], Sequence[Order], float, Look, Any]]
+"""Where it begins, what it is told, how many seconds it flies on, what is looked at and seen."""
+COPTER: Rows = [
     # 2: a take-off goes up as measured, and a setpoint ends it
     (climbing, [], 0, height, about(5.7, 1.0)),
     (climbing, [], 0, seconds_to(lambda it: it.height_m > 29.7), about(12.0, 1.5)),
@@ -235,6 +237,11 @@ COPTER: list[tuple[Callable[[], Rig], Sequence[Order], float, Look, Any]] = [
     (hovering, [aim((47.5, 8.6, 40.0), frame=6, is_global=True)], 0, echo, about(GLOBAL, 1)),
     (hovering, [MOVED_HOME, aim((5, 0, -30))], 0, echo, about((5, 0, -30), 0.1)),
     (hovering, [MOVED_HOME, ABOVE_HOME], 0, echo, about((0, 0, -50), 1)),
+    # no jump is refused: at most WPNAV_SPEED and 2.5 m/s up, overshooting by less than a metre
+    (hovering, [aim((200, 0, -30))], 15, speed, about(10.4, 0.4)),
+    (hovering, [aim((200, 0, -30))], 28, place, about((200, 0, -30), 1.2)),
+    (hovering, [aim((0, 0, -50), ZERO, ZERO)], 5, climb, about(2.5, 0.2)),
+    (hovering, [aim((0, 0, -50), ZERO, ZERO)], 11, height, about(50, 1)),
     # a change of speed limits a place alone, and is forgotten with the submode; up and down
     (hovering, [aim(AHEAD), command(SPEED, 1, 3)], 9, speed, about(3.06, 0.1)),
     (hovering, [command(SPEED, 1, 3), stream(8, None, (6, 0, 0))], 0, speed, about(6.0, 0.2)),
@@ -248,7 +255,7 @@ COPTER: list[tuple[Callable[[], Rig], Sequence[Order], float, Look, Any]] = [
     (hovering, [*TURNS, command(YAW, 50, 0, -1, 1)], 5, heading_deg, about(70, 1)),
     (hovering, [*TURNS, stream(8, None, (0, 5, 0))], 0, heading_deg, about(90, 3)),
 ]
-PLANE: list[tuple[Callable[[], Rig], Sequence[Order], float, Look, Any]] = [
+PLANE: Rows = [
     # 7: circles are wider than asked, and p4 turns them round
     (circling, [reposition(0, 0, 80, 40.0, 0.0)], 40, circle_m, about(60, 3)),
     (circling, [reposition(0, 0, 80, 80.0, 1.0)], 40, circle_m, about(-97, 3)),
@@ -272,7 +279,7 @@ PLANE: list[tuple[Callable[[], Rig], Sequence[Order], float, Look, Any]] = [
     (circling, [fault("gps_off"), *GLIDES, mode("LOITER")], 20, mode_roll, ("LOITER", LEVEL)),
     (circling, [fault("gps_off")], 20, height, about(80, 4)),
 ]
-PX4: list[tuple[Callable[[], Rig], Sequence[Order], float, Look, Any]] = [
+PX4: Rows = [
     # 3: a take-off ends in Hold at its usual height, and leads nowhere down
     (px4_ready, [TAKES_OFF], 12, mode_height, ("Hold", about(2.5, 0.3))),
     (high, [GOES_TO_500_M], 20, mode_height, ("Hold", about(30, 1))),
@@ -321,7 +328,7 @@ LANDS = seconds_to(lambda it: it.mode == "Land")
 WEAK = {"BATT_LOW_VOLT": 10.5, "BATT_FS_LOW_ACT": 2}
 BATTERY_LOW = (fault("battery_voltage 10 V"), run(12), mode("GUIDED"))
 watched, watched_plane = partial(hovering, FS_GCS_ENABLE=1), partial(circling, FS_GCS_ENABL=1)
-FAILSAFES: list[tuple[Callable[[], Rig], Sequence[Order], float, Look, Any]] = [
+FAILSAFES: Rows = [
     # 2, 3: it is armed once its estimator flies
     *((Rig, [mode("GUIDED")], 30, arm, FAILED), (Rig, [mode("GUIDED")], 42, arm, ACCEPTED)),
     *((new_plane, [], 20.5, arm, FAILED), (new_plane, [], 23.1, arm, ACCEPTED)),

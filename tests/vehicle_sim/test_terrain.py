@@ -50,17 +50,6 @@ def drawn(rng: np.random.Generator, kind: Kind) -> tuple[Terrain, list[PeakRow]]
     return PeakTerrain(rows, combine=kind, ground_amsl_m=ground_m), rows  # type: ignore[arg-type]
 
 
-def test_a_single_peak_is_equation_1_over_the_ground() -> None:
-    peak = (1000.0, 2000.0, 900.0, 300.0, 500.0)
-    terrain = PeakTerrain([peak], combine="maximum", ground_amsl_m=100.0)
-    assert terrain.height_at_amsl_m(1000.0, 2000.0) == 900.0
-    for place in ((1300.0, 2000.0), (1000.0, 2500.0)):
-        assert terrain.height_at_amsl_m(*place) == pytest.approx(900.0 / np.e)
-    assert terrain.height_at_amsl_m(9000.0, 9000.0) == 100.0
-    twice = PeakTerrain([peak, peak], combine="sum", ground_amsl_m=0.0)
-    assert twice.height_at_amsl_m(1000.0, 2000.0) == 1800.0
-
-
 @settings(max_examples=15)
 @given(seed=SEEDS, place=st.sampled_from(PLACES))
 def test_the_grid_is_bilinear_in_latitude_and_longitude_and_goes_on_beyond_its_edge(

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import tracked
-from tracked import EIGHTS, FIXED_WING, JUMPS, PLANE_ROWS, STOPS, WEAVES
+from tracked import EIGHTS, FIXED_WING, PLANE_ROWS, STOPS, WEAVES
 
 approx = pytest.approx
 # --- ArduCopter -----------------------------------------------------------------------------------
@@ -48,17 +48,6 @@ def test_a_stream_that_stops_is_flown_on_and_come_back_from_as_measured(row: tra
     assert got.still_s == approx(row.still_s, abs=1.1)
     assert got.furthest_m == approx(row.furthest_m, abs=0.7 + 0.04 * row.furthest_m)
     assert got.ends_m == approx(row.ends_m, abs=0.5 + 0.05 * row.ends_m)
-
-
-@pytest.mark.sample(3)
-@pytest.mark.parametrize("row", JUMPS, ids=lambda row: row.what)
-def test_a_target_that_jumps_is_reached_as_measured(row: tracked.Jump) -> None:
-    got = tracked.jump(row)
-    assert got.within_s == approx(row.within_s, rel=0.15)
-    assert got.peak_m_s == approx(row.peak_m_s, abs=0.2 if row.ned_m[2] else 0.4)
-    for field, within in (("lateral_m_s", 0.4), ("tilt_deg", 2.0), ("overshoot_m", 0.3)):
-        wanted = getattr(row, field)
-        assert wanted is None or getattr(got, field) == approx(wanted, abs=within), field
 
 
 # --- PX4's multicopter ----------------------------------------------------------------------------

@@ -217,50 +217,6 @@ def end_stream(row: Stop) -> Stop:
     return Stop(row.kind, row.timeout_s, brakes_s, still_s, ahead_m.max(), ahead_m[-1])
 
 
-Jump = namedtuple(
-    "Jump",
-    "what kind ned_m speed_m_s peak_m_s within_s overshoot_m tilt_deg lateral_m_s",
-    defaults=(None, None, None),
-)
-"""A jump of the target at this speed, or from hover: the peak of the speed, horizontal or for a
-vertical jump vertical; until it is within 1 m for good; the peak of the speed across."""
-JUMPS = (
-    Jump("5 m sideways", "pos+vel+acc", (0.0, 5.0, 0.0), 6.0, 6.5, 2.6, 0.3, 24.0, 2.5),
-    Jump("20 m sideways", "pos+vel+acc", (0.0, 20.0, 0.0), 6.0, 8.1, 5.6, 0.6, 30.0, 5.4),
-    Jump("20 m sideways, position", "position", (0.0, 20.0, 0.0), 6.0, 7.1, 7.8, 0.0, 26.0, 4.8),
-    Jump("60 m sideways", "pos+vel+acc", (0.0, 60.0, 0.0), 6.0, 11.4, 10.2, 0.9, 40.0, 9.6),
-    Jump("200 m ahead, position", "position", (200.0, 0.0, 0.0), 0.0, 10.4, 27.0, 0.8),
-    Jump("200 m ahead, pos+vel(0)", "pos+vel", (200.0, 0.0, 0.0), 0.0, 10.3, 24.0, 0.8),
-    Jump("20 m up", "pos+vel+acc", (0.0, 0.0, -20.0), 0.0, 2.5, 10.0),
-    Jump("20 m down", "pos+vel+acc", (0.0, 0.0, 20.0), 0.0, 1.5, 14.0),
-)
-
-
-def jump(row: Jump) -> Jump:
-    """Fly on for 30 s, move the target, and measure along the jump."""
-    it, jumps_s = hovering(60.0, GUID_TIMEOUT=3.0, WPNAV_SPEED=1000.0), 30.0
-    speed, targets = np.minimum(np.arange(6500) * STEP_S, row.speed_m_s), np.zeros((6500, 3))
-    targets[:, 0], targets[:, 2] = _moved(speed), -60.0
-    targets[round(jumps_s / STEP_S) :] += row.ned_m
-
-    def send(k: int, _: Any) -> None:
-        north, east, down = targets[k].tolist()
-        aim(it, row.kind, (north, east, down), (float(speed[k]), 0.0, 0.0), ZERO)
-
-    seen = _flown(it, 65.0, 10.0, send, since_s=jumps_s)
-    ned_m = np.stack([seen.ne_m.real, seen.ne_m.imag, seen.down_m], axis=-1)
-    away, axis = targets[seen.step] - ned_m, int(np.argmax(np.abs(row.ned_m)))
-    # a stream of positions alone is trailed: then only the way across counts
-    far = np.abs(away[:, axis]) if row.kind == "position" else np.linalg.norm(away, axis=-1)
-    return row._replace(
-        peak_m_s=np.abs(seen.climb_m_s if row.ned_m[2] else seen.moves_m_s).max(),
-        within_s=float(np.flatnonzero(far > 1.0)[-1] + 1) * 5 * STEP_S,
-        overshoot_m=max(0.0, (-np.sign(row.ned_m[axis]) * away[:, axis]).max()),
-        tilt_deg=seen.lean_deg.max(),
-        lateral_m_s=np.abs(seen.moves_m_s.imag).max(),
-    )
-
-
 # --- PX4's multicopter: px4.md 5 ------------------------------------------------------------------
 
 EIGHT: Final = Sine(SWING_RAD, 756.0, 756.0, 0.02)
