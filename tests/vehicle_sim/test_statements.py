@@ -1,9 +1,9 @@
 """What ardupilot.md and px4.md say of the real autopilots, and is so here; and the law `ideal`.
 
-Missions are in test_firmwares.py, fences in test_fences.py, tracking in
-test_tracking.py, how setpoints are read in test_setpoints.py, recorded flights in conformance/.
-PX4's conditions: SIH_KDV 0.25 and COM_OBL_RC_ACT 5 unless stated.  Tolerances are what the document
-gives as a range; otherwise twice the noise of the estimate, 10 % of speeds, and as stated.
+Missions are in test_firmwares.py, tracking in test_tracking.py, how setpoints are read in
+test_setpoints.py, recorded flights in conformance/.  PX4's conditions: SIH_KDV 0.25 and
+COM_OBL_RC_ACT 5 unless stated.  Tolerances are what the document gives as a range; otherwise twice
+the noise of the estimate, 10 % of speeds, and as stated.
 """
 
 import cmath
@@ -28,10 +28,14 @@ from harness import (
     heartbeat,
     hover,
     hovering,
+    item,
 )
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilot.values import Landed
+from vehicle_sim.autopilot.earth import FlatEarth
+from vehicle_sim.autopilot.guards import Fence
+from vehicle_sim.autopilot.values import Landed, Place
+from vehicle_sim.plans import PlanItem, PlanKind
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED = range(5)
 LAND, TAKE_OFF, YAW, SPEED, HOME, PLACE = 21, 22, 115, 178, 179, 192
@@ -39,6 +43,7 @@ AIR_SPEED, COURSE = 43000, 43002
 """Commands; the last two of a plane in GUIDED."""
 GROUND_M = COPTER_HOME[2]
 NOWHERE = (NAN, NAN, NAN)
+STATION = heartbeat(mavlink.MAV_TYPE_GCS)
 approx = pytest.approx
 
 
@@ -108,6 +113,40 @@ def raised_home() -> Rig:
     return rig
 
 
+def circle(north_m: float, radius_m: float, command: int = 5004) -> PlanItem:
+    """To keep out of, or by this command in."""
+    return item(COPTER_HOME, command, north_m, 0.0, 0.0, radius_m, frame=0)
+
+
+def polygon(*corners: complex) -> list[PlanItem]:
+    """To stay in: north + east j."""
+    count = float(len(corners))
+    return [item(COPTER_HOME, 5001, at.real, at.imag, 0.0, count, frame=0) for at in corners]
+
+
+def fenced(*items: PlanItem, kinds: float = 4.0, **parameters: float) -> Rig:
+    """An ArduCopter with a fence of polygons and circles."""
+    it = hovering(FENCE_ENABLE=1.0, FENCE_TYPE=kinds, **parameters)
+    it.plan(PlanKind.FENCE, *items)
+    return it
+
+
+excluded = partial(fenced, circle(80.0, 15.0))
+floored = partial(fenced, kinds=8.0, FENCE_ALT_MIN=15.0)
+ringed = partial(circling, FENCE_ENABLE=1.0, FENCE_TYPE=2.0, FENCE_RADIUS=400.0)
+
+
+def px4_fenced(action: float = 3.0, **parameters: float) -> Rig:
+    """PX4's copter with an exclusion of 20 m, 60 m to the north; by this action it returns."""
+    rig = hover(GF_ACTION=action, **parameters)
+    rig.send(STATION, source=GCS)
+    rig.simulation.plans[PlanKind.FENCE] = (item(rig.home, 5004, 60.0, 0.0, 0.0, 20.0, frame=6),)
+    return rig
+
+
+ringed_px4 = partial(px4_fenced, GF_MAX_HOR_DIST=20.0)
+roofed_px4 = partial(px4_fenced, GF_MAX_VER_DIST=20.0)
+
 # --- what they are told, and what is looked at then -----------------------------------------------
 
 Order, Look = Callable[[Rig], object], Callable[[Rig], Any]
@@ -121,7 +160,7 @@ height, climb, speed, velocity, place = map(
     attrgetter,
     ("height_m", "vehicle.velocity_up_m_s", "speed_m_s", "vehicle.velocity_neu_m_s", "ned_m"),
 )
-airspeed = attrgetter("vehicle.airspeed_m_s")
+airspeed, mode_of = attrgetter("vehicle.airspeed_m_s"), attrgetter("mode")
 mode_height, mode_roll = attrgetter("mode", "height_m"), attrgetter("mode", "vehicle.roll_rad")
 
 
@@ -152,6 +191,17 @@ def aims_m(height_m: float, frame: int) -> Order:
 
 def target_down_m(it: Rig) -> Any:
     return it.autopilot.target.position[2]
+
+
+def tells(what: str) -> Look:
+    """How often it told of a fence, in texts that begin so."""
+    return lambda it: sum(text.startswith(what) and "ence" in text for text in it.texts())
+
+
+def returns_at_m(it: Rig) -> float:
+    """How far from home it is when it turns back."""
+    it.until(lambda: it.mode == "RTL")
+    return math.hypot(*it.ne_m)
 
 
 def goes_down(it: Rig) -> bool:
@@ -320,7 +370,6 @@ PX4: Rows = [
     (wide, [reposition(0, 0, 70, 200.0)], 60, circle_m, about(150, 0.7)),
     (left, [reposition(0, 0, 70, 200.0)], 60, circle_m, about(-60, 0.7)),
 ]
-STATION = heartbeat(mavlink.MAV_TYPE_GCS)
 ANOTHER = methodcaller("send", STATION, source=(254, 77))
 IS_HEARD = methodcaller("send", STATION, source=GCS)
 IDLES, RTLS = seconds_to(lambda it: not it.armed), seconds_to(lambda it: it.mode == "RTL")
@@ -342,19 +391,47 @@ FAILSAFES: Rows = [
     (watched, [IS_HEARD, run(3), ANOTHER], 0, RTLS, about(1.9, 0.2)),
     (watched_plane, [IS_HEARD, run(3), ANOTHER], 0, RTLS, about(1.9, 0.2)),
     (partial(hover, NAV_DLL_ACT=3), [mode("Hold"), IS_HEARD], 0, LANDS, about(10.0, 0.3)),
-    (watched, [ANOTHER], 6, attrgetter("mode"), "GUIDED"),
-    (watched, [IS_HEARD, run(6), IS_HEARD], 1, attrgetter("mode"), "RTL"),
+    (watched, [ANOTHER], 6, mode_of, "GUIDED"),
+    (watched, [IS_HEARD, run(6), IS_HEARD], 1, mode_of, "RTL"),
     # a low battery is acted on, and whoever commands another mode has it
     (partial(hovering, **WEAK), [fault("battery_voltage 10 V")], 0, RTLS, about(9.9, 0.5)),
-    (partial(hovering, **WEAK), BATTERY_LOW, 1, attrgetter("mode"), "GUIDED"),
-    (hover, [mode("Hold"), fault("battery 6.5 %")], 0.6, attrgetter("mode"), "Return"),
-    (hover, [mode("Hold"), fault("battery 4 %")], 0.6, attrgetter("mode"), "Land"),
-    (hover, [fault("battery 4 %"), run(1), mode("Hold")], 1, attrgetter("mode"), "Hold"),
+    (partial(hovering, **WEAK), BATTERY_LOW, 1, mode_of, "GUIDED"),
+    (hover, [mode("Hold"), fault("battery 6.5 %")], 0.6, mode_of, "Return"),
+    (hover, [mode("Hold"), fault("battery 4 %")], 0.6, mode_of, "Land"),
+    (hover, [fault("battery 4 %"), run(1), mode("Hold")], 1, mode_of, "Hold"),
+]
+
+INSIDE = polygon(50.0, 90.0, 90.0 + 40.0j)
+outside = partial(fenced, *INSIDE)
+mode_fence = attrgetter("mode", "status.fence")
+FENCES: Rows = [
+    # ardupilot.md 4: outside of an inclusion the action is a parameter; GUIDED can be had again;
+    # a breach is told and counted once each time that it begins
+    *((outside, [], 1, mode_of, "RTL"), (outside, [], 1, tells("Polygon"), 1)),
+    (partial(fenced, *INSIDE, FENCE_ACTION=0), [], 1, mode_of, "GUIDED"),
+    (partial(fenced, *INSIDE, FENCE_ACTION=2), [], 1, mode_of, "LAND"),
+    (partial(fenced, *INSIDE, FENCE_ACTION=4), [], 1, mode_of, "BRAKE"),
+    (outside, [run(1), mode("GUIDED")], 1, mode_fence, ("GUIDED", (1, 1))),
+    (outside, [run(1), command(207, 0)], 1, mode_fence, ("RTL", (0, 1))),
+    (outside, [run(1), command(207, 0), run(1), command(207, 1)], 1, mode_fence, ("RTL", (1, 2))),
+    # a target in an exclusion is dropped without a word
+    (excluded, [aim((40, 0, -30)), aim((80, 0, -30))], 0, echo, about((40, 0, -30), 0.1)),
+    # a floor comes with the height, is breached from above, and goes with the landing
+    (floored, [stream(11, None, (0, 0, 1.5), rate_hz=100.0)], 0, tells("Min Alt"), 1),
+    (floored, [stream(9, None, (0, 0, 1.5), rate_hz=100.0)], 0, tells("Min Alt"), 0),
+    (floored, [mode("LAND"), run(50), methodcaller("take_off", 12.0)], 0, tells("Min Alt"), 0),
+    # 7: a plane is led back from its circle
+    (ringed, [command(COURSE, 0, 0.0, 3.0)], 0, returns_at_m, about(400, 5)),
+    # px4.md 7: beyond the cylinder about home it does what GF_ACTION says
+    (ringed_px4, [stream(8, None, (3, 0, 0))], 0, tells("Geofence"), 1),
+    (ringed_px4, [stream(8, None, (3, 0, 0))], 0, mode_of, "Return"),
+    (roofed_px4, [stream(8, None, (0, 0, -1.5))], 0, mode_of, "Return"),
+    (px4_fenced, [stream(8, None, (0, 0, -1.5))], 0, mode_of, "Offboard"),
 ]
 
 
 @pytest.mark.parametrize(
-    ("begins", "told", "seconds", "look", "seen"), COPTER + PLANE + PX4 + FAILSAFES
+    ("begins", "told", "seconds", "look", "seen"), COPTER + PLANE + PX4 + FAILSAFES + FENCES
 )
 def test_a_statement_of_the_pages_is_so(
     begins: Callable[[], Rig], told: Sequence[Order], seconds: float, look: Look, seen: Any
@@ -367,7 +444,7 @@ def test_a_statement_of_the_pages_is_so(
 
 # --- what is answered -----------------------------------------------------------------------------
 
-Answers = Sequence[tuple[Order, int]]
+Answers = Sequence[tuple[Order, Any]]
 FRESH: Answers = [  # ArduCopter that has just started: there is no home yet
     *((command(176, 1, 0), ACCEPTED), (command(176, 0, 4), DENIED), (command(176, 1, 99), FAILED)),
     *((command(176, 1, NAN), FAILED), (command(176, NAN, 4), DENIED)),
@@ -395,7 +472,7 @@ CIRCLING: Answers = [  # ArduPlane in GUIDED
         (command(PLACE, -1, 1, 0, 0, *nowhere, frame=3), DENIED)
         for nowhere in ((95, 0, 90), (0, 190, 90), (0, 0, 90), (*THERE[:2], NAN))
     ),
-    (lambda it: it.texts()[-1].startswith("SIM:"), True),  # what the real one does not survive
+    (lambda it: it.texts()[-1][:4], "SIM:"),  # what the real one does not survive
     *((command(AIR_SPEED, *to), DENIED) for to in ((1, 20), (0, 9), (0, 31), (0, NAN))),
     *((command(COURSE, *to, 3), DENIED) for to in ((0, 360), (3, 90), (0, NAN))),
     *((mode(of_quadplanes), FAILED) for of_quadplanes in (17, 19, 21)),
@@ -403,7 +480,7 @@ CIRCLING: Answers = [  # ArduPlane in GUIDED
     *((command(number, 0, 20, 3), FAILED) for number in (AIR_SPEED, SPEED, COURSE)),
     (command(PLACE, -1, 0, 0, 0, *THERE, frame=3), FAILED),
     (command(PLACE, -1, 1, 0, 0, *THERE, frame=3), ACCEPTED),
-    (attrgetter("mode"), "GUIDED"),
+    (mode_of, "GUIDED"),
 ]
 PX4_READY: Answers = [
     (command(HOME), REJECTED),  # 0, 0 is no place
@@ -413,6 +490,16 @@ PX4_READY: Answers = [
     *((command(246, 1), REJECTED), (command(400, 0), ACCEPTED), (command(246, 1), ACCEPTED)),
 ]
 
+last_text = lambda it: it.texts()[-1]  # noqa: E731
+UNARMABLE: Answers = [
+    *((mode("RTL"), ACCEPTED), (arm, FAILED), (last_text, "Arm: RTL mode not armable")),
+    *((mode("LAND"), ACCEPTED), (arm, FAILED), (last_text, "Arm: LAND mode not armable")),
+    *((mode("BRAKE"), ACCEPTED), (arm, FAILED), (last_text, "Arm: BRAKE mode not armable")),
+    *((methodcaller("plan", PlanKind.FENCE, circle(0.0, 50.0)), None), (mode("GUIDED"), ACCEPTED)),
+    *((arm, FAILED), (last_text, "Arm: Vehicle breaching Polygon")),
+    *((command(207, 0), ACCEPTED), (arm, ACCEPTED)),  # the fence is off
+]
+
 
 @pytest.mark.parametrize(
     ("begins", "answers"),
@@ -420,6 +507,9 @@ PX4_READY: Answers = [
         *((Rig, FRESH), (ready, READY), (hovering, HOVERING), (circling, CIRCLING)),
         *((rolling, [(command(TAKE_OFF, *[0] * 6, 30), FAILED)]), (px4_ready, PX4_READY)),
         (lambda: Rig("px4").run(1.0), [(command(400, 1, 21196), ACCEPTED)]),  # by force
+        (lambda: Rig(FENCE_ENABLE=1.0, FENCE_TYPE=4.0).armable(), UNARMABLE),
+        (ringed, [(reposition(900, 0, 80), DENIED)]),
+        (px4_fenced, [(reposition(60, 0, 15), DENIED)]),
     ],
 )
 def test_every_command_is_answered_as_on_the_real_one(
@@ -431,6 +521,48 @@ def test_every_command_is_answered_as_on_the_real_one(
 
 
 # --- what takes more than a row -------------------------------------------------------------------
+
+EARTH = FlatEarth(Place(*COPTER_HOME))
+STAR = polygon(*(cmath.rect(20.0, 0.8 * math.pi * k) for k in range(5)))
+"""It crosses itself: its middle is a hole."""
+TWO_CIRCLES = (circle(0.0, 10.0, 5003), circle(50.0, 10.0, 5003))
+ONE_CIRCLE = (circle(100.0, 10.0),)
+
+
+@pytest.mark.parametrize(
+    ("kinds", "items", "options", "place", "found"),
+    [
+        *((1, ONE_CIRCLE, 0, (0.0, 0.0, 99.0), 0), (1, ONE_CIRCLE, 0, (0.0, 0.0, 101.0), 1)),
+        *((2, ONE_CIRCLE, 0, (149.0, 0.0, 0.0), 0), (2, ONE_CIRCLE, 0, (151.0, 0.0, 0.0), 2)),
+        (7, ONE_CIRCLE, 0, (151.0, 0.0, 101.0), 3),
+        *((4, ONE_CIRCLE, 0, (100.0, 0.0, 0.0), 4), (4, ONE_CIRCLE, 0, (110.5, 0.0, 0.0), 0)),
+        # of two inclusions it stays in both, or by an option in either
+        *((4, TWO_CIRCLES, 0, (50.0, 0.0, 9.0), 4), (4, TWO_CIRCLES, 2, (50.0, 0.0, 9.0), 0)),
+        *((4, TWO_CIRCLES, 2, (25.0, 0.0, 9.0), 4), (4, STAR, 0, (0.0, 0.0, 9.0), 4)),
+        *((4, STAR, 0, (14.0, 0.0, 9.0), 0), (4, STAR, 0, (0.0, 19.0, 9.0), 4)),
+    ],
+)
+def test_each_kind_of_fence_is_where_its_parameters_say(
+    kinds: int, items: Sequence[PlanItem], options: int, place: Vector, found: int
+) -> None:
+    it = Rig(FENCE_ENABLE=1.0, FENCE_TYPE=float(kinds), FENCE_OPTIONS=float(options))
+    it.simulation.plans[PlanKind.FENCE] = tuple(items)
+    fence = Fence(it.autopilot.parameters, it.autopilot.plans)
+    there = EARTH.place(place[0], place[1], -place[2])
+    assert fence.outside(there, Place(*COPTER_HOME), EARTH) == found
+
+
+def test_a_breach_holds_until_another_command() -> None:
+    rig, stream = px4_fenced(2.0), (None, (4.0, 0.0, 0.0))
+    rig.until(lambda: rig.stream(0.05, *stream).ned_m[0] > 40.0)
+    for seconds in (1.0, 8.0):
+        assert rig.stream(seconds, *stream).mode == "Hold"
+        assert tells("Geofence")(rig) == 1
+    inside_m = rig.ned_m[0] - 40.0
+    assert inside_m == approx(5.0, abs=1.5)
+    assert rig.set_mode("Offboard") == ACCEPTED
+    rig.stream(3.0, None, (8.0, 0.0, 0.0))
+    assert 8.0 < rig.ned_m[0] - 40.0 - inside_m < 24.0
 
 
 def test_a_take_off_is_over_a_second_after_it_has_come_up() -> None:
