@@ -56,8 +56,7 @@ def tracking() -> Found:
     yield "\n## PX4 multicopter (px4.md 5)\n"
     yield "A figure eight of least radius 50 m; along and across: mean or rms / max, metres.\n"
     for row in tracked.EIGHTS:
-        what = row.kind + (f", {row.lead_s} s ahead" if row.lead_s else "")
-        yield {"v|.0f": row.speed_m_s, "setpoint": what, "Hz|.0f": row.rate_hz} | both(
+        yield {"v|.0f": row.speed_m_s, "setpoint": row.kind, "Hz|.0f": row.rate_hz} | both(
             row.real,
             tracked.fly_eight(row),
             along="along_mean_m/along_max_m:.1f",

@@ -60,7 +60,7 @@ SATURATED_M_S = 12.0
 @pytest.mark.parametrize(
     "row",
     EIGHTS,
-    ids=lambda row: f"{row.speed_m_s:.0f} {row.kind} {row.rate_hz:.0f} {row.lead_s}",
+    ids=lambda row: f"{row.speed_m_s:.0f} {row.kind} {row.rate_hz:.0f}",
 )
 def test_px4_tracks_a_curve_as_the_real_one_does(row: tracked.Eight) -> None:
     """Without a position, and 0.15 s ahead, the real one's own runs differ by as much."""
@@ -69,9 +69,9 @@ def test_px4_tracks_a_curve_as_the_real_one_does(row: tracked.Eight) -> None:
     if row.speed_m_s >= SATURATED_M_S:
         allowed_m = 0.25 * real.along_mean_m
         across_m = 0.55 if row.kind == "position" else 0.3
-    elif row.kind == "velocity":
+    elif row.kind == "velocity only":
         allowed_m, across_m = 2.5, 0.7
-    elif row.lead_s and row.speed_m_s > 8.0:
+    elif "ahead" in row.kind and row.speed_m_s > 8.0:
         allowed_m = 1.3
     assert measured.along_mean_m == approx(real.along_mean_m, abs=allowed_m)
     assert measured.cross_rms_m == approx(real.cross_rms_m, abs=across_m)
@@ -93,6 +93,7 @@ def test_arduplane_follows_a_weaving_route_as_well_as_the_real_one(row: Any) -> 
 @pytest.mark.parametrize("row", FIXED_WING, ids=lambda row: row.name)
 def test_px4s_plane_follows_a_curve_as_measured(row: tracked.FixedWing) -> None:
     got = tracked.fly_fixed(row)
-    assert got.rms_m == approx(row.rms_m, abs=row.within_m)
+    circles = row.name.startswith("DO_REPOSITION")  # it depends on where it begins
+    assert got.rms_m == approx(row.rms_m, abs=1.3, rel=0.4 if circles else 0.15)
     assert got.most_m < row.most_m + max(0.2 * row.most_m, 1.5)
     assert got.speed_m_s == approx(13.9, abs=0.25)

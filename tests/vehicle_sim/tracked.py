@@ -6,8 +6,10 @@ are north, east, down, and what is level is north + east j.
 """
 
 import math
+import re
 from collections import namedtuple
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -17,6 +19,7 @@ from numpy.typing import NDArray
 from vehicle_sim.geodesy import FloatArray
 
 Level = NDArray[np.complex128]
+PX4_PAGE: Final = (Path(__file__).parents[2] / "docs/reference/px4.md").read_text("utf-8")
 SWING_RAD: Final = 2.404825557695773
 """First zero of J0: a route that swings so far to both sides closes."""
 
@@ -227,8 +230,14 @@ Tracking = namedtuple(
     "Tracking", "along_mean_m along_max_m cross_rms_m cross_max_m altitude_rms_m speed_m_s"
 )
 """How well."""
-Eight = namedtuple("Eight", "kind speed_m_s rate_hz real lead_s")
-"""One row: a target sent so far ahead of its time."""
+Eight = namedtuple("Eight", "kind speed_m_s rate_hz real")
+"""One row of the table: what is sent, some of it ahead of its time."""
+EIGHTS: Final = tuple(
+    Eight(kind, float(speed), float(rate), Tracking(*map(float, re.findall(r"[-.\d]+", figures))))
+    for speed, kind, rate, figures in re.findall(
+        r"^\| (\d+) \| ((?:pos|vel).*?) \| (\d+) \| (.*) \|$", PX4_PAGE, re.MULTILINE
+    )
+)
 
 
 def _down_m(along_m: Any) -> Any:
@@ -247,14 +256,14 @@ def fly_eight(row: Eight) -> Tracking:
 
     def send(k: int, _: Any) -> None:
         target_m, moving_m_s = map(float, moved(k * STEP_S))
-        target_m += moving_m_s * row.lead_s
+        target_m += moving_m_s * (0.15 if "0.15 s ahead" in row.kind else 0.0)
         there, phase = EIGHT.ahead(0, target_m), math.tau * target_m / _LENGTH_M
         sinks_m_s = -moving_m_s * _WAVE_M * math.tau / _LENGTH_M * math.cos(phase)
         way, bend_1_m = EIGHT.way[there], EIGHT.curvature_1_m[there]
         rig.aim(
-            None if row.kind == "velocity" else _flat(EIGHT.at[there], float(_down_m(target_m))),
-            None if row.kind == "position" else _flat(moving_m_s * way, sinks_m_s),
-            _flat(1j * moving_m_s**2 * bend_1_m * way) if row.kind == _PVA else None,
+            _flat(EIGHT.at[there], float(_down_m(target_m))) if "pos" in row.kind else None,
+            _flat(moving_m_s * way, sinks_m_s) if "vel" in row.kind else None,
+            _flat(1j * moving_m_s**2 * bend_1_m * way) if "acc" in row.kind else None,
             float(EIGHT.heading_rad[there]),
         )
 
@@ -272,38 +281,6 @@ def fly_eight(row: Eight) -> Tracking:
     )
     most_m, aside_m = np.abs(behind).max(), np.abs(cross).max()
     return Tracking(behind.mean(), most_m, _rms(cross), aside_m, _rms(high), speed.mean())
-
-
-def _eight(kind: str, speed: float, rate: float, figures: str, lead_s: float = 0.0) -> Eight:
-    return Eight(kind, speed, rate, Tracking(*map(float, figures.split())), lead_s)
-
-
-_P, _PV, _PVA = "position", "position + velocity", "pos + vel + acc"
-EIGHTS = (
-    _eight(_P, 5.0, 20.0, "5.5 5.8 0.20 0.45 0.13 5.1"),
-    _eight(_PV, 5.0, 20.0, "0.2 0.7 0.18 0.43 0.16 5.0"),
-    _eight(_PVA, 5.0, 20.0, "0.3 0.4 0.40 0.80 0.13 5.1"),
-    _eight(_P, 8.0, 20.0, "8.7 9.0 0.33 0.66 0.13 8.0"),
-    _eight(_PV, 8.0, 20.0, "0.4 0.7 0.62 1.26 0.12 8.1"),
-    _eight(_PVA, 8.0, 20.0, "0.5 0.9 0.46 0.96 0.17 8.1"),
-    _eight(_P, 10.0, 20.0, "10.9 11.2 0.22 0.43 0.14 10.0"),
-    _eight(_PV, 10.0, 20.0, "0.4 0.6 0.84 1.51 0.11 10.1"),
-    _eight(_PVA, 10.0, 20.0, "0.7 1.0 0.69 1.10 0.12 10.1"),
-    _eight(_P, 12.0, 20.0, "15.8 18.8 0.65 1.11 0.23 11.9"),
-    _eight(_PV, 12.0, 20.0, "5.5 9.2 0.60 0.95 0.12 12.0"),
-    _eight(_PVA, 12.0, 20.0, "11.0 17.9 0.44 0.96 0.22 11.5"),
-    _eight("velocity", 8.0, 20.0, "7.3 8.7 0.70 1.34 1.00 8.0"),
-    _eight(_PV, 8.0, 5.0, "0.9 1.2 0.48 0.70 0.13 8.1"),
-    _eight(_PVA, 8.0, 5.0, "1.0 1.2 0.41 1.09 0.11 8.0"),
-    _eight(_PV, 8.0, 10.0, "0.5 0.7 0.40 0.89 0.13 8.0"),
-    _eight(_PVA, 8.0, 10.0, "0.5 0.8 0.28 0.60 0.16 7.9"),
-    _eight(_PV, 8.0, 50.0, "0.3 0.7 0.59 1.23 0.22 8.2"),
-    _eight(_PVA, 8.0, 50.0, "0.3 0.9 0.41 0.81 0.08 8.1"),
-    _eight(_P, 8.0, 2.0, "10.5 10.8 0.29 0.59 0.09 8.0"),
-    _eight(_P, 8.0, 5.0, "9.3 9.6 0.21 0.48 0.14 8.0"),
-    _eight(_PVA, 8.0, 20.0, "-0.8 1.3 0.43 0.87 0.16 8.0", 0.15),
-    _eight(_PVA, 10.0, 20.0, "0.3 3.1 0.61 1.06 0.07 10.3", 0.15),
-)
 
 
 # --- planes: aimed from the point of the route nearest to where the vehicle was -------------------
@@ -418,23 +395,20 @@ def fixed_wing_route() -> Sine:
     return Sine(SWING_RAD, length_m, length_m, length_m / 6044, math.pi / 2.0)
 
 
-FixedWing = namedtuple("FixedWing", "name kind lead_m rate_hz rms_m most_m within_m")
-"""One line of the table, and how near the rms of the simulator is to be."""
-FIXED_WING: Final = (
-    FixedWing("pos + vel, nearest point", "pos + vel", 0.0, 10.0, 3.8, 6.7, 0.6),
-    FixedWing("pos + vel, nearest point, 2.5 Hz", "pos + vel", 0.0, 2.5, 3.9, 8.0, 1.0),
-    FixedWing("pos + vel, lead 15 m", "pos + vel", 15.0, 10.0, 1.8, 4.1, 1.2),
-    FixedWing("pos + vel, lead 20 m", "pos + vel", 20.0, 10.0, 1.1, 3.8, 1.0),
-    FixedWing("pos + vel, lead 30 m", "pos + vel", 30.0, 10.0, 1.3, 6.9, 1.3),
-    FixedWing("pos + vel, lead 60 m", "pos + vel", 60.0, 10.0, 1.6, 3.0, 1.2),
-    FixedWing("pos + vel + acc", "pos + vel + acc", 0.0, 10.0, 7.9, 12.6, 1.2),
-    FixedWing("pos + vel - acc (negated)", "pos + vel - acc", 0.0, 10.0, 0.9, 2.2, 0.9),
-    FixedWing("pos only, lead 30 m", "position", 30.0, 10.0, 0.8, 1.5, 0.7),
-    FixedWing("pos only, lead 60 m", "position", 60.0, 10.0, 5.2, 7.1, 1.0),
-    FixedWing("pos only, lead 100 m", "position", 100.0, 10.0, 18.0, 24.5, 2.5),
-    FixedWing("DO_REPOSITION at 1 Hz, lead 130 m", "reposition", 130.0, 1.0, 53.0, 86.0, 20.0),
+FixedWing = namedtuple("FixedWing", "name rms_m most_m")
+"""One row of the table."""
+FIXED_WING: Final = tuple(
+    FixedWing(name, float(rms_m), float(most_m))
+    for name, rms_m, most_m in re.findall(
+        r"^\| ((?:pos|DO_REPO).*?) \| ([.\d]+) / ([.\d]+)", PX4_PAGE, re.MULTILINE
+    )
 )
-"""px4.md 10, "Curve of least radius 100 m", all of it."""
+
+
+def _told(name: str, unit: str, otherwise: float) -> float:
+    """The number before this unit in the name of a row."""
+    found = re.search(rf"([.\d]+) {unit}\b", name)
+    return float(found[1]) if found else otherwise
 
 
 def fly_fixed(row: FixedWing) -> Off:
@@ -446,23 +420,23 @@ def fly_fixed(row: FixedWing) -> Off:
     def send(nearest: int) -> None:
         nonlocal sent
         sent += 1
-        index = route.ahead(nearest, row.lead_m)
+        index = route.ahead(nearest, _told(row.name, "m", 0.0))
         at, way, bend_1_m = route.at[index], route.way[index], route.curvature_1_m[index]
-        if row.kind == "reposition":
+        if row.name.startswith("DO_REPOSITION"):
             rig.reposition(*_flat(at, _PLANE_HEIGHT_M))
             return
         if sent == 3:
             rig.set_mode("Offboard")
-        lateral = _ASKED_M_S**2 * bend_1_m * (-1.0 if row.kind == "pos + vel - acc" else 1.0)
+        lateral = _ASKED_M_S**2 * bend_1_m * (-1.0 if "- acc" in row.name else 1.0)
         vectors = _flat(_ASKED_M_S * way), _flat(1j * lateral * way)
-        given = {"position": 0, "pos + vel": 1}.get(row.kind, 2)
+        given = ("vel" in row.name) + ("acc" in row.name)
         rig.aim(_flat(at, -_PLANE_HEIGHT_M), *vectors[:given])
 
     return _followed(
         rig,
         route,
         send,
-        hz=row.rate_hz,
+        hz=_told(row.name, "Hz", 10.0),
         seconds=_LEAD_IN_S + _PLANE_RUN_S,
         counts=lambda time_s, _: time_s >= _LEAD_IN_S,
         begin=_START,
