@@ -45,14 +45,13 @@ def tracking() -> Found:
         )
     yield "\n## ArduPlane (ardupilot.md 7)\n"
     yield "A weaving route at 21 m/s; off path, rms / max, metres.\n"
-    for name, law, lateral, hz, real in tracked.PLANE_ROWS:
-        yield {
-            "law": name,
-            "lateral m/s2|g": lateral,
-            "Hz|g": hz,
-            "real": "{:.1f} / {:.1f}".format(*real),
-            "sim": "{:.1f} / {:.1f}".format(*tracked.off_path(law, lateral, hz=hz)[:2]),
-        }
+    for ahead in tracked.LOOK_AHEADS:
+        head = {"ahead|g": ahead.ahead_m, "radius|g": ahead.radius_m}
+        yield (
+            head
+            | {"lateral m/s2|g": ahead.lateral_m_s2}
+            | both(ahead, tracked.fly_look_ahead(ahead), off_path="rms_m/most_m:.1f")
+        )
     yield "\n## PX4 multicopter (px4.md 5)\n"
     yield "A figure eight of least radius 50 m; along and across: mean or rms / max, metres.\n"
     for row in tracked.EIGHTS:

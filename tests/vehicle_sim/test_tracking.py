@@ -5,11 +5,9 @@ simulation's; 9.2 m/s of positions alone at 10 m/s (here 9.8: on such a route 9.
 back without end); what is off the path at 0.5 Hz (here 1.7 m rms for 4.0).
 """
 
-from typing import Any
-
 import pytest
 import tracked
-from tracked import EIGHTS, FIXED_WING, PLANE_ROWS, STOPS, WEAVES
+from tracked import EIGHTS, FIXED_WING, LOOK_AHEADS, STOPS, WEAVES
 
 approx = pytest.approx
 # --- ArduCopter -----------------------------------------------------------------------------------
@@ -83,10 +81,10 @@ def test_px4_tracks_a_curve_as_the_real_one_does(row: tracked.Eight) -> None:
 
 
 @pytest.mark.sample(2)
-@pytest.mark.parametrize("row", PLANE_ROWS, ids=lambda row: "{0}, {2} m/s2, {3} Hz".format(*row))
-def test_arduplane_follows_a_weaving_route_as_well_as_the_real_one(row: Any) -> None:
-    _, law, lateral_m_s2, hz, real_m = row
-    assert tracked.off_path(law, lateral_m_s2, hz=hz)[:2] == approx(real_m, rel=0.4, abs=2.0)
+@pytest.mark.parametrize("row", LOOK_AHEADS, ids=lambda row: "{} m, {} m, {} m/s2".format(*row))
+def test_arduplane_follows_a_weaving_route_as_well_as_the_real_one(row: tracked.LookAhead) -> None:
+    got = tracked.fly_look_ahead(row)
+    assert (got.rms_m, got.most_m) == approx((row.rms_m, row.most_m), rel=0.4, abs=2.0)
 
 
 @pytest.mark.sample(2)

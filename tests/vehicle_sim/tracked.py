@@ -19,9 +19,13 @@ from numpy.typing import NDArray
 from vehicle_sim.geodesy import FloatArray
 
 Level = NDArray[np.complex128]
-PX4_PAGE: Final = (Path(__file__).parents[2] / "docs/reference/px4.md").read_text("utf-8")
 SWING_RAD: Final = 2.404825557695773
 """First zero of J0: a route that swings so far to both sides closes."""
+
+
+def _page(name: str) -> str:
+    """Of docs/reference, whose tables are read from it."""
+    return (Path(__file__).parents[2] / f"docs/reference/{name}.md").read_text("utf-8")
 
 
 class Sine:
@@ -235,7 +239,7 @@ Eight = namedtuple("Eight", "kind speed_m_s rate_hz real")
 EIGHTS: Final = tuple(
     Eight(kind, float(speed), float(rate), Tracking(*map(float, re.findall(r"[-.\d]+", figures))))
     for speed, kind, rate, figures in re.findall(
-        r"^\| (\d+) \| ((?:pos|vel).*?) \| (\d+) \| (.*) \|$", PX4_PAGE, re.MULTILINE
+        r"^\| (\d+) \| ((?:pos|vel).*?) \| (\d+) \| (.*) \|$", _page("px4"), re.MULTILINE
     )
 )
 
@@ -318,17 +322,18 @@ def _followed(
 
 AGE = 3
 """Looks: a client knows where the vehicle was 0.15 s ago: telemetry at 10 Hz, and its own time."""
-Law = Callable[[Rig, Sine, int], object]
-"""Sends what it takes, with the index of the nearest point."""
-
-
-def look_ahead(ahead_m: float, radius_m: float) -> Law:
-    """DO_REPOSITION to a point ahead on the route."""
-
-    def send(rig: Rig, route: Sine, nearest: int) -> object:
-        return rig.reposition(*_flat(route.at[route.ahead(nearest, ahead_m)], 80.0), radius_m)
-
-    return send
+LookAhead = namedtuple("LookAhead", "ahead_m radius_m lateral_m_s2 rms_m most_m")
+"""A row of "Following a weaving route at 21 m/s": DO_REPOSITION at 4 Hz to a circle of this radius,
+0 for the usual, about a point ahead on a route of this lateral acceleration."""
+LOOK_AHEADS: Final = tuple(
+    LookAhead(float(ahead_m), 0.0 if "default radius" in how else 10.0, *map(float, figures))
+    for ahead_m, how, *figures in re.findall(
+        r"^\| (?:DO_REPOSITION,? )?(?:look-ahead )?(\d+) m(.*?) \| ([.\d]+).*? \| "
+        r"\**([.\d]+) / ([.\d]+)",
+        _page("ardupilot").partition("## 7. Plane")[2],
+        re.MULTILINE,
+    )
+)
 
 
 @copied
@@ -341,43 +346,27 @@ def _before_the_route() -> Rig:
     return rig
 
 
-def off_path(law: Law, lateral_m_s2: float, *, hz: float = 4.0) -> Off:
+def fly_look_ahead(row: LookAhead) -> Off:
     """At an airspeed of 20 m/s along a route that swings by 25 deg; its first 400 m apart."""
     swing_rad, speed_m_s = math.radians(25.0), 21.0
     # curvature at most swing * 2 pi / wave = lateral / speed^2
-    route = Sine(swing_rad, swing_rad * math.tau * speed_m_s**2 / lateral_m_s2, 6000.0, 1.0)
+    wave_m = swing_rad * math.tau * speed_m_s**2 / row.lateral_m_s2
+    route, rig = Sine(swing_rad, wave_m, 6000.0, 1.0), _before_the_route()
     route.at -= 400.0
-    rig = _before_the_route()
+
+    def send(nearest: int) -> None:
+        there = route.at[route.ahead(nearest, row.ahead_m)]
+        rig.reposition(*_flat(there, 80.0), row.radius_m)
+
     return _followed(
         rig,
         route,
-        lambda nearest: law(rig, route, nearest),
-        hz=hz,
+        send,
+        hz=4.0,
         seconds=100.0,
         counts=lambda _, along_m: (along_m > 400.0) & (along_m < 5900.0),
         age=AGE,
     )
-
-
-PLANE_ROWS: tuple[tuple[str, Law, float, float, tuple[float, float]], ...] = (
-    ("reposition 115 m ahead, radius 10 m", look_ahead(115.0, 10.0), 1.0, 4.0, (3.0, 4.4)),
-    ("reposition 60 m ahead, radius 10 m", look_ahead(60.0, 10.0), 2.0, 4.0, (31.0, 40.0)),
-    ("reposition 80 m ahead, radius 10 m", look_ahead(80.0, 10.0), 2.0, 4.0, (24.0, 35.0)),
-    ("reposition 100 m ahead, radius 10 m", look_ahead(100.0, 10.0), 2.0, 4.0, (7.5, 13.9)),
-    ("reposition 115 m ahead, radius 10 m", look_ahead(115.0, 10.0), 2.0, 4.0, (6.0, 8.8)),
-    ("reposition 115 m ahead, radius 2 m", look_ahead(115.0, 2.0), 2.0, 4.0, (6.0, 8.8)),
-    ("reposition 130 m ahead, radius 10 m", look_ahead(130.0, 10.0), 2.0, 4.0, (7.9, 12.5)),
-    ("reposition 130 m ahead, radius 10 m", look_ahead(130.0, 10.0), 2.0, 10.0, (8.2, 12.8)),
-    ("reposition 160 m ahead, radius 10 m", look_ahead(160.0, 10.0), 2.0, 4.0, (11.6, 18.7)),
-    ("reposition 160 m ahead, radius 10 m", look_ahead(160.0, 10.0), 2.0, 1.0, (10.6, 16.6)),
-    ("reposition 200 m ahead, usual radius", look_ahead(200.0, 0.0), 2.0, 4.0, (16.6, 28.0)),
-    ("reposition 300 m ahead, usual radius", look_ahead(300.0, 0.0), 2.0, 4.0, (25.0, 48.0)),
-    ("reposition 110 m ahead, radius 10 m", look_ahead(110.0, 10.0), 3.5, 4.0, (9.5, 14.3)),
-    ("reposition 130 m ahead, radius 10 m", look_ahead(130.0, 10.0), 3.5, 4.0, (12.1, 19.6)),
-)
-"""ardupilot.md 7, "Following a weaving route at 21 m/s": law, lateral acceleration of the route in
-m/s2, Hz, and what the real one was off the path, rms and most in m.  That "80 m" of the row
-"60 m, radius 10 / 80 m" is a look-ahead is read from its figures."""
 
 
 # --- PX4's fixed wing: px4.md 10 ------------------------------------------------------------------
@@ -400,7 +389,7 @@ FixedWing = namedtuple("FixedWing", "name rms_m most_m")
 FIXED_WING: Final = tuple(
     FixedWing(name, float(rms_m), float(most_m))
     for name, rms_m, most_m in re.findall(
-        r"^\| ((?:pos|DO_REPO).*?) \| ([.\d]+) / ([.\d]+)", PX4_PAGE, re.MULTILINE
+        r"^\| ((?:pos|DO_REPO).*?) \| ([.\d]+) / ([.\d]+)", _page("px4"), re.MULTILINE
     )
 )
 
