@@ -29,6 +29,7 @@ from harness import (
     hover,
     hovering,
     item,
+    setpoint,
 )
 from pymavlink.dialects.v20 import all as mavlink
 
@@ -147,6 +148,23 @@ def px4_fenced(action: float = 3.0, **parameters: float) -> Rig:
 ringed_px4 = partial(px4_fenced, GF_MAX_HOR_DIST=20.0)
 roofed_px4 = partial(px4_fenced, GF_MAX_VER_DIST=20.0)
 
+
+@copied
+def streaming() -> Rig:
+    it = hovering()
+    it.streamed = setpoint((0.0, 0.0, -30.0), ZERO)
+    return it
+
+
+@copied
+def px4_streaming() -> Rig:
+    it = hover(40.0, seed=1)
+    it.streamed = setpoint((0.0, 0.0, -40.0))
+    return it
+
+
+is_ready, plane_is_ready = (lambda: Rig().armable()), (lambda: new_plane().armable())
+
 # --- what they are told, and what is looked at then -----------------------------------------------
 
 Order, Look = Callable[[Rig], object], Callable[[Rig], Any]
@@ -202,6 +220,16 @@ def returns_at_m(it: Rig) -> float:
     """How far from home it is when it turns back."""
     it.until(lambda: it.mode == "RTL")
     return math.hypot(*it.ne_m)
+
+
+def north_m(it: Rig) -> Any:
+    """Of home, truly."""
+    return it.simulation.contact.local_m[0]
+
+
+def off_m(it: Rig) -> float:
+    """How far it is from where it believes to be."""
+    return math.dist(it.ne_m, it.simulation.contact.local_m)
 
 
 def goes_down(it: Rig) -> bool:
@@ -429,9 +457,37 @@ FENCES: Rows = [
     (px4_fenced, [stream(8, None, (0, 0, -1.5))], 0, mode_of, "Offboard"),
 ]
 
+GLITCH, OUTAGE = fault("gps_glitch 50 m north"), fault("for 10 s: gps_off")
+BLIND, SHORTLY = fault("for 30 s: gps_off"), fault("for 4 s: gps_off")
+ARMABLE, flags = attrgetter("simulation.armable"), attrgetter("autopilot.estimate.flags")
+ACCURACY = attrgetter("autopilot.estimate.horizontal_accuracy_m")
+glitch_s = seconds_to(methodcaller("when", "GPS Glitch or Compass error"))
+ESTIMATORS: Rows = [
+    # ardupilot.md 5: a jump of GPS is told of, resisted for ten seconds and then believed
+    (streaming, [GLITCH], 0, glitch_s, about(1.2, 0.25)),
+    (streaming, [GLITCH], 5, flags, 0x833F),
+    (streaming, [GLITCH], 0, seconds_to(lambda it: it.ned_m[0] > 20.0), about(10.3, 0.4)),
+    (streaming, [GLITCH], 23, north_m, about(-50, 1)),
+    (streaming, [GLITCH], 23, lambda it: len(it.when("Glitch cleared")), 1),
+    # an outage between 7 s, "timed out", and 15 s, "stopped aiding", leaves it armable again
+    *((is_ready, [OUTAGE], s, ARMABLE, so) for s, so in ((9.9, False), (15, True))),
+    *((plane_is_ready, [OUTAGE], s, ARMABLE, so) for s, so in ((9.9, False), (15, True))),
+    # px4.md 8: accuracy grows from 0.3 to 1.2 m in 5 s and 29 m in 30 s, and the estimate drifts by
+    # 31 m, with another accelerometer's error by others, and jumps back
+    (px4_streaming, [BLIND], 5, ACCURACY, about(1.2, 0.3)),
+    (px4_streaming, [BLIND], 29.9, ACCURACY, about(29.0, 4.0)),
+    (px4_streaming, [BLIND], 29.9, off_m, about(31.0, 12.0)),
+    (px4_streaming, [BLIND], 34, off_m, about(0.0, 2.0)),
+    # a short loss is not noticed, and a jump believed after reset_timeout_max, 7 s
+    (px4_streaming, [SHORTLY], 8, flags, 0x37F),
+    (px4_streaming, [GLITCH], 6, north_m, about(0, 3)),
+    (px4_streaming, [GLITCH], 21, north_m, about(-50, 3)),
+]
+
 
 @pytest.mark.parametrize(
-    ("begins", "told", "seconds", "look", "seen"), COPTER + PLANE + PX4 + FAILSAFES + FENCES
+    ("begins", "told", "seconds", "look", "seen"),
+    COPTER + PLANE + PX4 + FAILSAFES + FENCES + ESTIMATORS,
 )
 def test_a_statement_of_the_pages_is_so(
     begins: Callable[[], Rig], told: Sequence[Order], seconds: float, look: Look, seen: Any
