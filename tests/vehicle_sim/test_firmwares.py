@@ -9,19 +9,7 @@ from statistics import median
 from typing import Any, NamedTuple
 
 import pytest
-from harness import (
-    KINDS,
-    Rig,
-    circling,
-    cruising,
-    flying,
-    heartbeat,
-    hover,
-    hovering,
-    item,
-    setpoint,
-)
-from pymavlink.dialects.v20 import all as mavlink
+from harness import KINDS, Rig, circling, cruising, flying, hover, hovering, item
 
 from vehicle_sim.autopilot import factory
 from vehicle_sim.autopilot.arducopter import FIRMWARE
@@ -33,7 +21,6 @@ from vehicle_sim.plans import PlanItem, PlanKind
 
 ALL_FOUR = pytest.mark.parametrize("kind", KINDS, ids="-".join)
 ACCEPTED, REJECTED, FAILED = Result.ACCEPTED, Result.TEMPORARILY_REJECTED, Result.FAILED
-STATION, STOP = heartbeat(mavlink.MAV_TYPE_GCS), setpoint(None, (0.0, 0.0, 0.0))
 approx = pytest.approx
 
 

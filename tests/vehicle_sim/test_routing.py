@@ -83,7 +83,7 @@ def test_where_a_message_goes(source: Ids, link: int, message: Any, route: str) 
 
 # --- when it is due -------------------------------------------------------------------------------
 
-POSITION, ATTITUDE, LOCAL, ORIGIN = 33, 30, 32, 49
+POSITION, ORIGIN = 33, 49
 GLOBAL_POSITION, ACCEPTED, DENIED, FAILED = "GLOBAL_POSITION_INT", 0, 2, 4
 
 

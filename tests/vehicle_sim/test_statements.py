@@ -54,7 +54,7 @@ def about(value: Any, within: float) -> Any:
 
 # --- where flights begin --------------------------------------------------------------------------
 
-low, deep, high = partial(hovering, 5.0), partial(hovering, 60.0), partial(hover, 30.0)
+low, high = partial(hovering, 5.0), partial(hover, 30.0)
 
 
 def hurrying() -> Rig:
