@@ -4,9 +4,13 @@ import math
 from typing import Any
 
 import pytest
-from harness import COPTER_HOME, KINDS, Rig, setpoint
+from harness import COPTER_HOME, KINDS, Rig, placed, setpoint
 
-from vehicle_sim.dynamics.contact import is_crash
+from vehicle_sim.dynamics.contact import Contact, Crash, is_crash
+from vehicle_sim.dynamics.plane import Plane
+from vehicle_sim.geodesy import LocalFrame
+from vehicle_sim.scene import Scene
+from vehicle_sim.terrain import PeakTerrain
 
 GROUND_M = 500.0
 PEAK = {"north_m": 900.0, "east_m": 0.0, "height_amsl_m": GROUND_M + 700.0}
@@ -49,6 +53,30 @@ def test_a_contact_is_judged_by_the_speed_in_all_axes(
     velocity: tuple[float, float, float], slope: complex, rolls: bool, lands: bool, crashes: bool
 ) -> None:
     assert is_crash(velocity, slope, rolls=rolls, lands=lands) is crashes
+
+
+class Step(PeakTerrain):  # type: ignore[misc]
+    """Level ground with a step up of 5 m at 10 m north."""
+
+    def height_at_amsl_m(self, north_m: float, east_m: float) -> float:
+        return 5.0 if north_m > 10.0 else 0.0 * east_m
+
+
+@pytest.mark.parametrize(("from_m", "crashes"), [(9.0, True), (12.0, False)])
+def test_a_step_up_is_hit_though_it_is_level_before_and_behind_it(
+    from_m: float, crashes: bool
+) -> None:
+    frame, hits = LocalFrame(latitude_deg=47.0, longitude_deg=8.0), list[Crash]()
+    terrain = Step([], combine="maximum", ground_amsl_m=0.0)
+    height_m = terrain.height_at_amsl_m(from_m, 0.0)
+    plane = Plane(**placed((*frame.to_geographic(from_m, 0.0), height_m)))
+    contact = Contact(plane, Scene(terrain, ()), frame, rolls=True, on_crash=hits.append)
+    plane.velocity_m_s = 9.0 + 0j
+    plane.latitude_deg, _ = frame.to_geographic(from_m + 2.0, 0.0)
+    contact.prepare(200_000)
+    contact.look(200_000)
+    contact.settle(200_000, 0.2)
+    assert [hit.into for hit in hits] == ["the ground"] * crashes
 
 
 @pytest.mark.parametrize(("autopilot", "kind"), KINDS)
