@@ -3,7 +3,6 @@
 scripts/bench tracking       the tables of docs/lab/tracking.md
 """
 
-import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -22,9 +21,7 @@ def both(real: Any, sim: Any, **columns: str) -> dict[str, str]:
         form, _, unit = form.partition(" ")
         for whose, one in (("", real), (", sim", sim)):
             values = " / ".join(format(getattr(one, name), form) for name in fields.split("/"))
-            cells[heading.replace("_", " ") + whose] = (
-                f"{values.replace('nan', '-')} {unit}".strip()
-            )
+            cells[heading.replace("_", " ") + whose] = f"{values} {unit}".strip()
     return cells
 
 
@@ -46,32 +43,21 @@ def tracking() -> Found:
             furthest="furthest_m:.1f",
             ends_at="ends_m:.1f",
         )
-    yield "\nJumps of the target: peak speed, and seconds until within 1 m for good.\n"
-    for jump in tracked.JUMPS:
-        sim = tracked.jump(jump)
-        cells = both(jump, sim, peak="peak_m_s:.1f m/s", within="within_s:.1f s")
-        yield {"jump": jump.what} | cells
     yield "\n## ArduPlane (ardupilot.md 7)\n"
     yield "A weaving route at 21 m/s; off path, rms / max, metres.\n"
-    for name, law, lateral, hz, real in tracked.PLANE_ROWS:
-        yield {
-            "law": name,
-            "lateral m/s2|g": lateral,
-            "Hz|g": hz,
-            "real": "{:.1f} / {:.1f}".format(*real),
-            "sim": "{:.1f} / {:.1f}".format(*tracked.off_path(law, lateral, hz=hz)[:2]),
-        }
+    for ahead in tracked.LOOK_AHEADS:
+        head = {"ahead|g": ahead.ahead_m, "radius|g": ahead.radius_m}
+        yield (
+            head
+            | {"lateral m/s2|g": ahead.lateral_m_s2}
+            | both(ahead, tracked.fly_look_ahead(ahead), off_path="rms_m/most_m:.1f")
+        )
     yield "\n## PX4 multicopter (px4.md 5)\n"
     yield "A figure eight of least radius 50 m; along and across: mean or rms / max, metres.\n"
     for row in tracked.EIGHTS:
-        what = row.kind + (f", {row.lead_s} s ahead" if row.lead_s else "")
-        what += f", carrot {row.carrot_m:.0f} m" if row.carrot_m else ""
-        flown = tracked.fly_eight(row)
-        if row.carrot_m:  # its target has no time: it is not told how far along it is
-            flown = flown._replace(along_mean_m=math.nan, along_max_m=math.nan)
-        yield {"v|.0f": row.speed_m_s, "setpoint": what, "Hz|.0f": row.rate_hz} | both(
+        yield {"v|.0f": row.speed_m_s, "setpoint": row.kind, "Hz|.0f": row.rate_hz} | both(
             row.real,
-            flown,
+            tracked.fly_eight(row),
             along="along_mean_m/along_max_m:.1f",
             across="cross_rms_m/cross_max_m:.2f",
             height="altitude_rms_m:.2f",

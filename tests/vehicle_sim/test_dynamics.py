@@ -9,7 +9,6 @@ import pytest
 from harness import GENTLE, placed
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.battery import Battery, Model
@@ -17,7 +16,7 @@ from vehicle_sim.dynamics.copter import HOVER_THROTTLE, RESPONSE_S, Copter, Limi
 from vehicle_sim.dynamics.plane import Plane, PlaneLimits
 from vehicle_sim.dynamics.wind import LEVEL_M, VERTICAL_M, VERTICAL_SHARE, Wind
 from vehicle_sim.faults import BatteryConditions, WindConditions
-from vehicle_sim.geodesy import LocalFrame
+from vehicle_sim.geodesy import FloatArray, LocalFrame
 
 approx = pytest.approx
 DT_S, PLACE = 0.01, (47.0, 8.0, 500.0)
@@ -63,14 +62,7 @@ def test_a_steady_order_is_flown_as_the_closed_form_says_up_to_the_fastest_speed
     assert it.altitude_amsl_m - 500.0 == approx(t * t / 2 - tau * t + tau * tau, abs=0.05)
     it = flown(copter(), 20.0, 60.0, 80.0, -50.0)
     assert it.velocity_neu_m_s == approx((18.0, 24.0, -5.0), abs=1e-6)
-
-
-def test_without_motors_it_falls_like_a_stone_and_standing_it_is_upright_and_idle() -> None:
-    it = copter()
-    for _ in range(200):
-        it.fall(DT_S)
-    assert it.altitude_amsl_m == approx(500.0 - 0.5 * 9.80665 * 4.0, abs=1e-6)
-    flown(it, 1.0, 5.0, 0.0, 1.0).stand(470.0)
+    it.stand(470.0)
     assert it.roll_rad == it.pitch_rad == it.throttle == it.airspeed_m_s == 0.0
     assert (it.altitude_amsl_m, it.velocity_neu_m_s) == (470.0, (0.0, 0.0, 0.0))
 
@@ -83,7 +75,6 @@ def test_drag_and_tilt_hold_the_speeds_that_were_measured(
     most = GRAVITY_M_S2 * math.tan(math.radians(tilt_deg))  # no more holds the height
     it = flown(copter(replace(FREE, acceleration_m_s2=most), 0.340, 0.0193), 30.0, 100.0, 0, 0)
     assert it.velocity_m_s.real == approx(speed_m_s, rel=0.01)
-    assert it.velocity_m_s.real * (0.340 + 0.0193 * it.velocity_m_s.real) == approx(most, rel=1e-6)
     assert it.pitch_rad == approx(-math.radians(tilt_deg), rel=1e-6)
 
 
@@ -155,14 +146,11 @@ def test_nothing_of_a_plane_exceeds_its_limit() -> None:
 
 
 def blown(
-    *changes: tuple[int, WindConditions],
-    height_m: float = 100.0,
-    airspeed_m_s: float = 0.0,
-    dt_s: float = DT_S,
-) -> NDArray[np.float64]:
-    """North, east and up after each of so many steps under these conditions."""
+    *changes: tuple[int, WindConditions], airspeed_m_s: float = 0.0, dt_s: float = DT_S
+) -> FloatArray:
+    """North, east and up after each of so many steps under these conditions, 100 m up."""
     wind, it, rows = Wind(np.random.default_rng(5)), copter(GENTLE), []
-    it.altitude_amsl_m, it.airspeed_m_s = height_m, airspeed_m_s
+    it.altitude_amsl_m, it.airspeed_m_s = 100.0, airspeed_m_s
     for steps, conditions in changes:
         for _ in range(steps):
             wind.step(dt_s, it, conditions, 0.0)
@@ -193,33 +181,23 @@ def test_mean_variance_and_correlation_of_gusts_are_as_stated_whatever_the_step(
 
 
 @pytest.mark.parametrize(
-    ("wind", "height_m", "expected"),
-    [
-        ({"from_rad": 0.0}, 100.0, (-8, 0, 0)),
-        ({"from_rad": math.pi / 2}, 100.0, (0, -8, 0)),
-        ({"rising_rad": math.pi / 6}, 100.0, (-math.sqrt(48.0), 0, 4)),  # it keeps its speed
-        ({"from_rad": 0.0}, 15.0, (-4, 0, 0)),  # below sixty metres with the root of the height
-        ({"from_rad": -1.0}, 0.0, (0, 0, 0)),
-        ({"from_rad": -1.0}, -100.0, (0, 0, 0)),
-        ({"from_rad": 0.0}, 1e5, (-8, 0, 0)),
-    ],
+    ("above_m", "share"), [(100.0, 1.0), (15.0, 0.5), (0.0, 0.0), (-9.0, 0.0), (1e5, 1.0)]
 )
-def test_a_wind_blows_away_from_where_it_comes_from(
-    wind: Any, height_m: float, expected: tuple[float, ...]
+def test_below_sixty_metres_a_wind_goes_with_the_root_of_the_height(
+    above_m: float, share: float
 ) -> None:
-    told = {"from_rad": 0.0, **wind}
-    (seen,) = blown((1, WindConditions(speed_m_s=8.0, **told)), height_m=height_m)
-    assert seen == approx(expected, abs=1e-12)
+    wind, it = Wind(np.random.default_rng(5)), copter()
+    wind.step(DT_S, it, WindConditions(speed_m_s=8.0, from_rad=math.pi / 2), 500.0 - above_m)
+    seen = it.wind_m_s.real, it.wind_m_s.imag, it.wind_up_m_s
+    assert seen == approx((0.0, -8.0 * share, 0.0), abs=1e-12)
 
 
-def test_a_change_sets_in_slowly_and_goes_again_without_a_trace() -> None:
+def test_a_change_sets_in_slowly_keeps_the_speed_of_what_rises_and_goes_without_a_trace() -> None:
     calm, windy = WindConditions(), WindConditions(speed_m_s=10.0, rising_rad=math.asin(0.6))
     rows = blown((1, calm), (10_000, windy), (10_000, calm))
     full, set_in = np.array([8.0, 0.0, 6.0]), 1.0 - math.exp(-1.0)
-    assert rows[0] == approx(0.0 * full, abs=0.0)
-    assert rows[500] == approx(set_in * full, abs=0.02)
-    assert rows[10_000] == approx(full, abs=1e-9)
-    assert rows[-1] == approx(0.0 * full, abs=0.0)
+    for step, share, within in ((0, 0, 0), (500, set_in, 0.02), (10_000, 1, 1e-9), (-1, 0, 0)):
+        assert rows[step] == approx(share * full, abs=within)
 
 
 # --- battery: against what the recorded flights show, and sums by hand ----------------------------
@@ -229,37 +207,28 @@ EMPTY, SMALL = {"least": 0.0, "drain_s": 10.0}, {"capacity_ah": 3.3}
 
 
 @pytest.mark.parametrize(
-    ("model", "seconds", "conditions", "volts", "amperes", "drawn_mah", "left"),
+    ("model", "seconds", "conditions", "volts", "amperes", "left"),
     [
-        # arducopter-guided-10mps.tlog: 12.6 V and 27 A at 61 s, 2,301 mAh in 277 s of flight
-        (COPTER, 277, {}, 12.6, 27.5, approx(2301.0, rel=0.1), 1.0 - 27.5 * 277 / 11_880),
         # px4-offboard-8mps.tlog: 16.2 V full, 15.3 V at 50 % for ever, 33 s after arming
-        (PX4, 10, {}, 16.2 - 1.8 / 6.0, -1.0, -10.0 / 3.6, 1.0 - 10.0 / 60.0),
-        (PX4, 40, {}, 15.3, -1.0, -40.0 / 3.6, 0.5),
+        (PX4, 10, {}, 16.2 - 1.8 / 6.0, -1.0, 1.0 - 10.0 / 60.0),
+        (PX4, 40, {}, 15.3, -1.0, 0.5),
         # with a capacity it empties: to 76.85 %, at 0.9558 of its voltage at rest, and to nothing
-        (COPTER, 100, SMALL, approx(11.9496, abs=1e-4), 27.5, None, 1 - 2750 / 11_880),
-        (COPTER, 900, SMALL, 12.6 * 0.8 - 27.5 * 0.0034, 27.5, None, 0.0),
-        (PX4, 100, EMPTY, 14.4, None, None, 0.0),
+        (COPTER, 100, SMALL, 11.9496, 27.5, 1 - 2750 / 11_880),
+        (COPTER, 900, SMALL, 12.6 * 0.8 - 27.5 * 0.0034, 27.5, 0.0),
+        (PX4, 100, EMPTY, 14.4, None, 0.0),
         # no more is left than a fault says
-        (COPTER, 10, {"most": 0.15}, 12.6 * 0.895, 27.5, None, 0.15),
-        (PX4, 10, {"most": 0.15, "least": 0.0}, 14.67, None, None, 0.15),
-        # and nothing is drawn on the ground
-        *((model, 100, None, 12.6, 0.0, 0.0, 1.0) for model in (COPTER, PLANE)),
-        (PX4, 100, None, 16.2, -1.0, None, 1.0),
+        (COPTER, 10, {"most": 0.15}, 12.6 * 0.895, 27.5, 0.15),
+        (PX4, 10, {"most": 0.15, "least": 0.0}, 14.67, None, 0.15),
+        (PLANE, 100, None, 12.6, 0.0, 1.0),  # and nothing is drawn on the ground
     ],
 )
-def test_a_battery_draws_what_the_recorded_ones_draw(
-    model: Model, seconds: int, conditions: Any, volts: Any, amperes: Any, drawn_mah: Any, left: Any
+def test_a_battery_empties_as_its_capacity_and_its_faults_say(
+    model: Model, seconds: int, conditions: Any, volts: Any, amperes: Any, left: float
 ) -> None:
     """Hovering; conditions None: it is not armed."""
     it, battery = copter(), Battery(model=model)
     it.throttle, told = HOVER_THROTTLE, BatteryConditions(**conditions or {})
     for _ in range(round(seconds / DT_S)):
         battery.step(DT_S, it, conditions is not None, told)
-    for value, wanted in (
-        (battery.voltage_v, volts),
-        (battery.current_a, amperes),
-        (battery.consumed_mah, drawn_mah),
-        (battery.remaining, left),
-    ):
-        assert wanted is None or value == (approx(wanted) if isinstance(wanted, float) else wanted)
+    assert (battery.voltage_v, battery.remaining) == (approx(volts, abs=1e-4), approx(left))
+    assert amperes is None or battery.current_a == approx(amperes)

@@ -1,41 +1,34 @@
-"""Bytes, messages and values, both ways: against pymavlink's own parser, packer, signer, reader."""
+"""Bytes, messages and parameters, both ways, against pymavlink's own parser and packer.
+
+pymavlink's own client sets parameters in tests/interop.
+"""
 
 import itertools
+import math
 import random
 import struct
 from typing import Any
 
 import pytest
-from harness import COMPANION, VEHICLE, ZERO, Rig, flying, hover, hovering, setpoint
-from hypothesis import given
+from harness import VEHICLE, ZERO, Rig, flying, hover, hovering, setpoint
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from pymavlink import mavftp_op
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot.values import Text
 from vehicle_sim.flight_controller import texts
+from vehicle_sim.parameters import Firmware
 from vehicle_sim.wire.frames import StreamParser, framed
 
 ARM = mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 7.5)
 BEAT = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
 TEXT = mavlink.MAVLink_statustext_message(4, b"a text that is long enough for all of its 50 bytes")
-KINDS = sorted(mavlink.mavlink_map.values(), key=lambda kind: kind.id)
-approx = pytest.approx
+BOTH = pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
 
 
 def packed(message: Any, *, old: bool = False) -> bytes:
     mav = mavlink.MAVLink(None, srcSystem=7, srcComponent=195)
     return bytes(message.pack(mav, force_mavlink1=old))
-
-
-def decoded(frame: bytes) -> Any:
-    return mavlink.MAVLink(None).decode(bytearray(frame))
-
-
-def sent(message: Any) -> Any:
-    """As we read what we pack."""
-    ((_, got),) = StreamParser(datagrams=True).feed(framed(message, 0, 255, 190))
-    return got
 
 
 # --- frames ---------------------------------------------------------------------------------------
@@ -49,21 +42,17 @@ def filled(kind: Any, rng: random.Random) -> bytes:
     return frame + struct.pack("<H", crc)
 
 
-def same(got: Any, wanted: Any) -> bool:
-    heads = [bytes(each.get_header().pack()) for each in (got, wanted)]
-    return repr(got.to_dict()) == repr(wanted.to_dict()) and heads[0] == heads[1]
-
-
 def test_every_message_of_the_dialect_is_read_and_packed_as_pymavlink_does_it() -> None:
-    rng = random.Random(1)
-    mav = mavlink.MAVLink(None, srcSystem=3, srcComponent=4)
-    for kind in KINDS:
+    rng, mav = random.Random(1), mavlink.MAVLink(None, srcSystem=3, srcComponent=4)
+    for kind in mavlink.mavlink_map.values():
         frame = filled(kind, rng)
         ((raw, got),) = StreamParser(datagrams=True).feed(frame)
+        wanted = mavlink.MAVLink(None).decode(bytearray(frame))
         assert raw == frame
-        assert same(got, decoded(frame)), kind
+        assert repr(got.to_dict()) == repr(wanted.to_dict()), kind
+        assert got.get_header().pack() == wanted.get_header().pack()
         if kind is not mavlink.MAVLink_test_types_message:  # a lone zero is more than it can pack
-            assert framed(got, mav.seq, 3, 4) == decoded(frame).pack(mav), kind
+            assert framed(got, mav.seq, 3, 4) == wanted.pack(mav), kind
             mav.seq = (mav.seq + 1) % 256
 
 
@@ -107,12 +96,12 @@ def test_what_is_no_frame_of_mavlink_is_passed_over_and_an_unknown_one_costs_onl
     for datagram in (flagged(0, 1), flagged(0)[:-1], flagged(2), flagged(3) + bytes(13)):
         assert StreamParser(datagrams=True).feed(datagram) == []
     parser = StreamParser(datagrams=False)
-    for number in range(100_000, 101_000):
+    for number in range(100_000, 100_100):
         head = bytes([253, 9, 0, 0, 0, 1, 1, *number.to_bytes(3, "little")])
         assert len(parser.feed(head + b"\xfd\xff\x00" * 3 + b"\0\0" + packed(BEAT))) == 1
 
 
-# --- messages and values --------------------------------------------------------------------------
+# --- messages -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("firmware", "base", "mode"), [("ardupilot", 1, 9), ("px4", 209, 6 << 16)])
@@ -126,15 +115,13 @@ def test_set_mode_means_do_set_mode(firmware: Any, base: int, mode: int) -> None
 @pytest.mark.parametrize("length", [50, 51, 100, 149])
 def test_a_text_that_does_not_fit_goes_on_in_chunks_to_a_zero_byte(length: int) -> None:
     said = "å" + "".join(chr(ord("a") + k % 26) for k in range(length - 1))
-    chunks = [sent(each) for each in texts(Text(severity=2, text=said), 7)]
+    frames = b"".join(framed(each, 0, 1, 1) for each in texts(Text(severity=2, text=said), 7))
+    chunks = mavlink.MAVLink(None).parse_buffer(frames)
     assert "".join(chunk.text for chunk in chunks) == said.replace("å", "?")
     assert [chunk.chunk_seq for chunk in chunks] == list(range(len(chunks)))
     assert {chunk.id for chunk in chunks} == {7 if length > 50 else 0}
     assert [len(chunk.text) for chunk in chunks[:-1]] == [50] * (len(chunks) - 1)
     assert len(chunks[-1].text) < 50 or length == 50  # a zero byte ends it
-
-
-# --- telemetry ------------------------------------------------------------------------------------
 
 
 def test_every_message_can_be_packed_and_read_again() -> None:
@@ -146,19 +133,92 @@ def test_every_message_can_be_packed_and_read_again() -> None:
         assert len(kinds) > 12
 
 
+# --- parameters -----------------------------------------------------------------------------------
+
+FLOAT = {"ardupilot": "GUID_TIMEOUT", "px4": "COM_DISARM_LAND"}
+LIST = mavlink.MAVLink_param_request_list_message(*VEHICLE)
+REAL, INT8, INT32 = 9, 2, 6
+
+
+def values(vehicle: Rig, message: Any) -> list[Any]:
+    """The PARAM_VALUE that answer this on link 0."""
+    return [each for each in vehicle.ask(message) if each.get_type() == "PARAM_VALUE"]
+
+
+def read(vehicle: Rig, name: str = "", index: int = -1) -> list[Any]:
+    asked = mavlink.MAVLink_param_request_read_message(*VEHICLE, name.encode(), index)
+    return values(vehicle, asked)
+
+
+def put(vehicle: Rig, name: str, value: float, kind: int = REAL) -> list[Any]:
+    return values(vehicle, mavlink.MAVLink_param_set_message(*VEHICLE, name.encode(), value, kind))
+
+
+def as_float(whole: int) -> Any:
+    return struct.unpack("<f", struct.pack("<i", whole))[0]
+
+
+@BOTH
+def test_values_are_listed_in_order_read_by_index_or_name_told_to_every_link_and_kept(
+    firmware: Firmware,
+) -> None:
+    vehicle, name = Rig(firmware, links=2), FLOAT[firmware]
+    table = vehicle.simulation.parameters
+    listed = [(m.param_id, m.param_index, m.param_count) for m in values(vehicle, LIST)]
+    assert listed == [(each, k, len(table)) for k, each in enumerate(table)]
+    assert vehicle.all("PARAM_VALUE", link=1) == []  # it has not asked
+    place = list(table).index(name)
+    for (message,) in (read(vehicle, index=place), read(vehicle, name)):
+        told = (message.param_id, message.param_index, message.param_value)
+        assert told == (name, place, table[name])
+    assert read(vehicle, "NO_SUCH_NAME") == read(vehicle, index=len(table)) == []
+    assert put(vehicle, "NO_SUCH_NAME", 1.0) == []
+    begun_s = vehicle.now_s
+    for asked in (1.5, math.nan):  # neither firmware keeps that
+        (kept,) = put(vehicle, name, asked)
+        assert kept.param_value == table[name] == 1.5
+    there = [h.message.param_value for h in vehicle.all("PARAM_VALUE", link=1, since_s=begun_s)]
+    assert set(there) == {1.5}
+
+
 @pytest.mark.parametrize(
-    ("opcode", "data", "answer"),
+    ("name", "asked", "kept"),
     [
-        (4, b"@PARAM/param.pck?withdefaults=1", (8, 3, 129, 1, 4, 10)),  # not found
-        (2, b"", (8, 3, 128, 0, 2, 0)),  # sessions can be ended
-        (129, b"", None),  # that is an answer
+        ("ANGLE_MAX", 4500.6, 4501),
+        *(("ANGLE_MAX", 1e9, 32767), ("DISARM_DELAY", -1e9, -128)),
+        *(("RTL_LOIT_TIME", 1e30, 2**31 - 1), ("GUID_TIMEOUT", 1e30, 1e30)),
     ],
 )
-def test_there_are_no_files(opcode: int, data: bytes, answer: tuple[int, ...] | None) -> None:
-    """Asked for in the layout of pymavlink's own client."""
-    operation = mavftp_op.FTP_OP(7, 3, opcode, len(data), 0, 0, 11, bytearray(data))
-    payload = list(bytes(operation.pack()).ljust(251, b"\0"))
-    got = Rig().ask(mavlink.MAVLink_file_transfer_protocol_message(0, 1, 1, payload))
-    assert all((each.target_system, each.target_component) == COMPANION for each in got)
-    found = [struct.unpack_from("<HBBBB6xB", bytes(each.payload)) for each in got]
-    assert found == ([answer] if answer else [])
+def test_ardupilot_converts_to_the_type_whatever_type_is_named(
+    name: str, asked: float, kept: float
+) -> None:
+    vehicle = Rig("ardupilot", links=2)
+    for kind in (REAL, INT8, INT32):
+        (told,) = put(vehicle, name, asked, kind)
+        assert told.param_value == pytest.approx(kept, rel=1e-6)
+
+
+@given(value=st.integers(-(2**31), 2**31 - 1).filter(lambda v: v & 0x7FC00000 != 0x7F800000))
+@settings(max_examples=20)
+def test_px4s_integers_travel_as_their_bits_and_no_other_type_is_taken(value: int) -> None:
+    vehicle, name = Rig("px4", links=2), "COM_OBL_RC_ACT"
+    (told,) = put(vehicle, name, as_float(value), INT32)
+    assert struct.unpack("<i", bytes(told.get_msgbuf())[10:14]) == (value,)
+    assert vehicle.simulation.parameters[name] == value
+    assert told.param_type == INT32
+    assert put(vehicle, name, 3.0, REAL) == put(vehicle, FLOAT["px4"], as_float(3), INT32) == []
+
+
+@BOTH
+def test_the_parameters_of_ids_count_from_the_next_boot_on(firmware: Firmware) -> None:
+    ids = {"MAV_SYSID": 9} if firmware == "ardupilot" else {"MAV_SYS_ID": 9, "MAV_COMP_ID": 50}
+    vehicle, after = Rig(firmware, links=2), (9, ids.get("MAV_COMP_ID", 1))
+    for name, value in ids.items():
+        vehicle.simulation.set_parameter(name, value)
+    assert {each.source for each in vehicle.run(3.0).heard} == {VEHICLE}
+    vehicle.fault("reboot")
+    vehicle.run(1.2).heard.clear()
+    assert {each.source for each in vehicle.run(3.0).heard} == {after}
+    for target, obeys in ((after, True), (VEHICLE, False)):
+        order = mavlink.MAVLink_command_long_message(*target, 400, 0, 1, *[0] * 6)
+        assert any(each.get_type() == "COMMAND_ACK" for each in vehicle.ask(order)) is obeys

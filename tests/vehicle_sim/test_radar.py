@@ -16,15 +16,15 @@ from pymavlink.dialects.v20 import all as mavlink
 from pyproj import Geod
 
 from vehicle_sim.dynamics import Vehicle
-from vehicle_sim.geodesy import LocalFrame
+from vehicle_sim.geodesy import FloatArray, LocalFrame
 from vehicle_sim.sensors.terrain_radar import UNSEEN_M, TerrainRadar
 from vehicle_sim.terrain import PeakRow, PeakTerrain
 from vehicle_sim.world import Peak
 
-FloatArray = NDArray[np.float64]
 Height = Callable[[FloatArray, FloatArray], FloatArray]
 NE = tuple[float, float]
 Request = tuple[LocalFrame, int, int]
+"""South-west corner, spacing and mask."""
 WGS84 = Geod(ellps="WGS84")
 FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
 ALL_BLOCKS, RANGE_M = (1 << 56) - 1, 4000.0
@@ -42,36 +42,27 @@ def peaks(rng: np.random.Generator, number: tuple[int, int], centre_ne_m: NE) ->
     return [tuple(rng.uniform(low, high).tolist()) for _ in range(int(rng.integers(*number)))]
 
 
-def radar_over_hills(seed: int, centre_ne_m: NE = HERE) -> tuple[PeakTerrain, TerrainRadar]:
-    rows = peaks(np.random.default_rng(seed), (1, 8), centre_ne_m)
-    terrain = PeakTerrain(rows, combine="maximum", ground_amsl_m=100.0)
-    return terrain, TerrainRadar(terrain, FRAME, range_m=RANGE_M)
-
-
 def viewpoint(ne_m: NE, altitude_amsl_m: float) -> Vehicle:
     return Vehicle(**placed((*FRAME.to_geographic(*ne_m), altitude_amsl_m)))
 
 
 def request_about(ne_m: NE, spacing_m: int, mask: int = ALL_BLOCKS) -> Request:
-    """South-west corner, spacing and mask."""
     corner = FRAME.to_geographic(ne_m[0] - 14 * spacing_m, ne_m[1] - 16 * spacing_m)
     latitude_deg, longitude_deg = (round(angle, 7) for angle in corner)
     return LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg), spacing_m, mask
 
 
-def spots(spacing_m: float, count: int) -> tuple[FloatArray, FloatArray]:
-    """Metres north and east of the corner: so many points a side of each cell, edges included."""
+def spots(request: Request, count: int) -> tuple[FloatArray, FloatArray]:
+    """So many points a side of each cell, edges included, in the world's frame: by geodesics from
+    the corner.  -> two of (28 * 32 * count^2,).
+    """
+    corner, spacing_m, _ = request
     at = np.linspace(0.0, spacing_m, count)
-    north = ROW[..., None, None] * spacing_m + at[:, None] + 0.0 * at
-    east = COLUMN[..., None, None] * spacing_m + 0.0 * at[:, None] + at
-    return north.ravel(), east.ravel()
-
-
-def to_local(request: Request, a_m: FloatArray, b_m: FloatArray) -> tuple[FloatArray, ...]:
-    """Metres true north and east of the corner -> the world's frame, by geodesics."""
-    ones, azimuth = np.ones_like(a_m), np.degrees(np.arctan2(b_m, a_m))
-    corner = (request[0].longitude_deg * ones, request[0].latitude_deg * ones)
-    lon, lat, _ = WGS84.fwd(*corner, azimuth, np.hypot(a_m, b_m))
+    north = (ROW[..., None, None] * spacing_m + at[:, None] + 0.0 * at).ravel()
+    east = (COLUMN[..., None, None] * spacing_m + 0.0 * at[:, None] + at).ravel()
+    ones, azimuth = np.ones_like(north), np.degrees(np.arctan2(east, north))
+    start = (corner.longitude_deg * ones, corner.latitude_deg * ones)
+    lon, lat, _ = WGS84.fwd(*start, azimuth, np.hypot(north, east))
     azimuth, _, distance = WGS84.inv(8.0 * ones, 47.0 * ones, lon, lat)
     return distance * np.cos(np.radians(azimuth)), distance * np.sin(np.radians(azimuth))
 
@@ -91,11 +82,11 @@ def cells(radar: TerrainRadar, request: Request, view: Vehicle) -> NDArray[np.in
 
 @pytest.mark.parametrize(("seed", "centre"), [(1, HERE), (2, FAR), (3, FAR)])
 def test_a_seen_cell_is_its_highest_terrain_rounded_up(seed: int, centre: NE) -> None:
-    terrain, radar = radar_over_hills(seed, centre)
-    request = request_about(centre, 60)
+    rows, request = peaks(np.random.default_rng(seed), (1, 8), centre), request_about(centre, 60)
+    terrain = PeakTerrain(rows, combine="maximum", ground_amsl_m=100.0)
+    radar = TerrainRadar(terrain, FRAME, range_m=RANGE_M)
     got = cells(radar, request, viewpoint(centre, 9000.0))  # from so high everything is in sight
-    north, east = to_local(request, *spots(60.0, 13))
-    brute = terrain.height_amsl_m(north, east).reshape(28, 32, -1).max(axis=-1)
+    brute = terrain.height_amsl_m(*spots(request, 13)).reshape(28, 32, -1).max(axis=-1)
     assert not np.any(got == UNSEEN_M)
     assert np.all(got >= brute - 1e-6)
     assert np.all(got <= brute + 1.0 + 25.0)  # 5 m between samples, slopes up to about 7
@@ -117,15 +108,6 @@ def test_the_horizon_is_where_the_earth_curves_away(eye_m: float, mast_m: float)
         radar = TerrainRadar(terrain, FRAME, range_m=5e4)
         (heights,) = radar.answer(corner, 1, 1, viewpoint(HERE, eye_m)).values()
         assert (heights[0] != UNSEEN_M) == seen
-
-
-def test_nonsense_is_answered_with_nothing_and_cells_of_a_country_are_survived() -> None:
-    radar, view = radar_over_hills(2)[1], viewpoint(HERE, 1000.0)
-    for spacing_m, latitude_deg in ((0, 47.0), (100, 91.0), (100, -214.0)):
-        corner = LocalFrame(latitude_deg=latitude_deg, longitude_deg=8.0)
-        assert radar.answer(corner, spacing_m, ALL_BLOCKS, view) == {}
-    got = cells(radar, request_about(HERE, 65535), view)
-    assert np.all((got == UNSEEN_M) | (got >= 100))
 
 
 # --- what is hidden: rays marched over the true ground in small steps -----------------------------
@@ -177,7 +159,7 @@ def test_nothing_is_called_hidden_that_a_ray_reaches_and_little_is_seen_through_
     radar = TerrainRadar(terrain, FRAME, range_m=RANGE_M)
     hidden = cells(radar, request, viewpoint(HERE, eye[2])) == UNSEEN_M
     # corners, middles of the sides and the middle of every cell, as the message defines them
-    points = np.stack(to_local(request, *spots(spacing_m, 3)), axis=-1)
+    points = np.stack(spots(request, 3), axis=-1)
     covered_m = marched(height, eye, points).reshape(28, 32, 9).min(axis=-1)
     in_range = np.hypot(*points.reshape(28, 32, 9, 2)[:, :, 4].T).T < RANGE_M - 1.0
     false_seen = ~hidden & in_range & (covered_m > 0.0)
@@ -205,19 +187,18 @@ def request(mask: int = ALL_BLOCKS) -> Any:
     return mavlink.MAVLink_terrain_request_message(*place, 200, mask)
 
 
-def standing(*faults: str) -> Rig:
+def standing(fault: str = "turbulence 0 m/s") -> Rig:
     """On the hill, after a second of this."""
     table: dict[str, Any] = {"component_id": 100, "range_m": RANGE_M}
     it = Rig("ideal", "copter", (47.0, 8.0, 100.25), links=4, scanner=table, peaks=CONE, seed=1)
-    for line in faults:
-        it.fault(line)
+    it.fault(fault)
     it.run(1.0).heard.clear()
     return it
 
 
-def answered(*faults: str) -> list[Heard]:
+def answered(*fault: str) -> list[Heard]:
     """What it says to a request within 0.9 s, of a vehicle that is elsewhere in the next tick."""
-    it = standing(*faults)
+    it = standing(*fault)
     it.send(request(), link=3)
     it.run(TICK_S).vehicle.latitude_deg += 0.03
     return [each for each in it.run(0.8).heard if each.source == (1, 100)]
@@ -243,27 +224,22 @@ def test_a_request_is_answered_once_at_the_end_of_its_tick_with_what_the_radar_s
     assert (report.loaded, report.pending) == (56, 0)
     assert report.terrain_height == pytest.approx(TERRAIN.height_at_amsl_m(-2800.0, -3200.0))
     assert report.current_height == pytest.approx(TOP_M - report.terrain_height)
-    radar = TerrainRadar(TERRAIN, FRAME, range_m=RANGE_M)
-    truth = radar.answer(*request_about(HERE, 200), viewpoint(HERE, TOP_M))
+    radar, view = TerrainRadar(TERRAIN, FRAME, range_m=RANGE_M), viewpoint(HERE, TOP_M)
+    truth = radar.answer(*request_about(HERE, 200), view)
     assert {block.gridbit: list(block.data) for block in blocks} == truth
+    for spacing_m, latitude_deg in ((0, 47.0), (100, 91.0), (100, -214.0)):  # nonsense
+        corner = LocalFrame(latitude_deg=latitude_deg, longitude_deg=8.0)
+        assert radar.answer(corner, spacing_m, ALL_BLOCKS, view) == {}
 
 
-def test_its_heart_beats_once_a_second_and_it_obeys_nobody() -> None:
-    order = mavlink.MAVLink_command_long_message
-    for fault, beats in (("turbulence 0 m/s", 3), ("radar_off", 0)):
-        it = standing(fault)
-        it.send(*(order(1, target, 400, 0, *[0.0] * 7) for target in (0, 100)), request())
-        heard = [each for each in it.run(3.0).heard if each.source == (1, 100)]
-        said = [each.kind for each in heard if each.link == 0]
-        assert (said.count("HEARTBEAT"), "COMMAND_ACK" in said) == (beats, False)
-        assert ("TERRAIN_REPORT" in said) is bool(beats)
-
-
-@pytest.mark.parametrize("delay_s", [0.1, 0.77])
-def test_a_delay_delays_the_answer_and_not_the_look(delay_s: float) -> None:
-    said = answered(f"radar_delay {delay_s * 1e3} ms")
-    assert {round(each.at_s, 3) for each in said} == {round(1.0 + TICK_S + delay_s, 3)}
-    assert np.array_equal(heights(said), heights(answered()))
+@pytest.mark.parametrize(("fault", "beats"), [("turbulence 0 m/s", 3), ("radar_off", 0)])
+def test_its_heart_beats_once_a_second_and_it_obeys_nobody(fault: str, beats: int) -> None:
+    it, order = standing(fault), mavlink.MAVLink_command_long_message
+    it.send(*(order(1, target, 400, 0, *[0.0] * 7) for target in (0, 100)), request())
+    heard = [each for each in it.run(3.0).heard if each.source == (1, 100)]
+    said = [each.kind for each in heard if each.link == 0]
+    assert (said.count("HEARTBEAT"), "COMMAND_ACK" in said) == (beats, False)
+    assert ("TERRAIN_REPORT" in said) is bool(beats)
 
 
 @pytest.mark.parametrize(
@@ -284,15 +260,21 @@ def test_it_holds_one_answer_at_a_time_and_keeps_its_rate(
     assert min(np.diff(times[1:])) >= apart_s - 1e-6
 
 
-def test_what_is_lost_or_missed_is_so_in_its_share_and_nothing_else_changes() -> None:
-    truth, blind, lossy = heights(answered()), answered("radar_blind"), answered("radar_loss 30 %")
+def test_a_fault_spoils_what_it_says_in_its_share_and_nothing_else() -> None:
+    said = answered()
+    truth, by_bit = heights(said), of(said, "TERRAIN_DATA")
+    seen = truth != UNSEEN_M
+    late = answered("radar_delay 770 ms")  # of the answer, and not of the look
+    assert {round(each.at_s, 3) for each in late} == {round(1.0 + TICK_S + 0.77, 3)}
+    assert np.array_equal(heights(late), truth)
+    blind = answered("radar_blind")
     assert (len(blind), set(heights(blind))) == (57, {UNSEEN_M})
-    by_bit, blocks = of(answered(), "TERRAIN_DATA"), of(lossy, "TERRAIN_DATA")
+    lossy = answered("radar_loss 30 %")
+    blocks = of(lossy, "TERRAIN_DATA")
     assert 56 * 0.5 < len(blocks) < 56 * 0.9
     assert of(lossy, "TERRAIN_REPORT")[0].loaded == 56  # the report counts them
     assert all(by_bit[block.gridbit].data == block.data for block in blocks)
     got = heights(answered("radar_drop 25 %"))
-    seen = truth != UNSEEN_M
     missed = seen & (got == UNSEEN_M)
     assert missed.sum() / seen.sum() == pytest.approx(0.25, abs=0.05)
     assert np.array_equal(got[~missed], truth[~missed])

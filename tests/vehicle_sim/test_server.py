@@ -1,16 +1,20 @@
-"""Lockstep and real time over real sockets: with the server in this process, and as a process."""
+"""Lockstep and real time over real sockets, endpoints, and several vehicles as a process."""
 
 import hashlib
 import json
+import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 from clients import Client, Process, Running, is_question, tcp_client, udp_client
 from pymavlink.dialects.v20 import all as mavlink
+
+from vehicle_sim.errors import InputError
+from vehicle_sim.links import Link, open_link, parse_endpoint
 
 Serve, Start = Callable[..., Running], Callable[..., Process]
 Table = dict[str, Any]
@@ -68,20 +72,6 @@ def test_silence_in_lockstep_is_an_error_that_says_what_is_missing(
     assert "no heartbeat" in str(run.error)
 
 
-def test_vehicles_on_one_link_ask_different_questions_and_wait_for_all(
-    serve: Serve, world_table: Table, companion: Client
-) -> None:
-    serve(companion.endpoint, *numbered(world_table, 3), lockstep=True)
-    companion.begin()
-    asked = list[tuple[int, int]]()
-    while len(asked) < 15:
-        for message in filter(is_question, companion.messages()):
-            asked.append((message.ts1, message.get_srcSystem()))
-            companion.send(companion.answer(message))
-    assert len({question for question, _ in asked}) == len(asked)
-    assert [system for _, system in asked[:6]] == [1, 2, 3, 1, 2, 3]
-
-
 def test_each_of_several_vehicles_flies_its_own_time(serve: Serve, world_table: Table) -> None:
     """The clock of the one whose companion ends first stands, and the other's goes on."""
     with udp_client() as first, udp_client(ids=(2, 195)) as second:
@@ -103,23 +93,6 @@ def test_each_of_several_vehicles_flies_its_own_time(serve: Serve, world_table: 
     assert run.simulations[1].now_us == 3_000_000
 
 
-# --- real time ------------------------------------------------------------------------------------
-
-
-def test_real_time_keeps_the_pace_whatever_the_companion_does(
-    serve: Serve, companion: Client
-) -> None:
-    run = serve(companion.endpoint, speedup=20.0)
-    companion.datagram()  # heard once, never answered
-    start_s, start_us = time.monotonic(), run.simulation.now_us
-    assert not run.ended(0.6)
-    flown_s, passed_s = (run.simulation.now_us - start_us) * 1e-6, time.monotonic() - start_s
-    assert 10.0 < flown_s / passed_s < 22.0  # a busy computer may let time slip, but gains none
-
-
-# --- lockstep against all that disturbs it --------------------------------------------------------
-
-
 def follow(client: Client, for_s: float, newest_ns: int = 0) -> str:
     """Answer for so much vehicle time, all boots together; a digest of what came."""
     digest, passed_ns = hashlib.sha256(), 0
@@ -134,26 +107,16 @@ def follow(client: Client, for_s: float, newest_ns: int = 0) -> str:
     return digest.hexdigest()
 
 
-def test_it_goes_on_through_a_reboot_over_udp(serve: Serve, companion: Client) -> None:
-    run = serve(companion.endpoint, lockstep=True)
-    companion.begin()
-    follow(companion, 2.9)
-    run.simulation.add_fault("reboot")
-    follow(companion, 3.5, newest_ns=2_900_000_000)
-    # the question counts from the boot, as all stamps do
-    assert companion.wait_for(is_question).ts1 < 5e9
-    companion.send(companion.heartbeat(7))
-    assert run.ended()
-    assert run.error is None
-
-
-def test_over_tcp_a_client_that_was_cut_off_connects_again_and_it_goes_on(serve: Serve) -> None:
+def test_it_goes_on_through_a_reboot_and_when_a_tcp_client_connects_again(serve: Serve) -> None:
     run = serve("tcpin:127.0.0.1:0", lockstep=True)
     with tcp_client(run.port) as first:
         first.send(first.heartbeat())
-        follow(first, 1.0)
+        follow(first, 2.9)
+    run.simulation.add_fault("reboot")
     with tcp_client(run.port) as second:
-        follow(second, 2.0)
+        follow(second, 3.5, newest_ns=2_900_000_000)
+        # the question counts from the boot, as all stamps do
+        assert second.wait_for(is_question).ts1 < 5e9
         second.send(second.heartbeat(7))
         assert run.ended()
     assert run.error is None
@@ -185,51 +148,25 @@ def test_links_that_are_bad_from_the_start_neither_stop_it_nor_depend_on_when_on
     assert len(told) == 1
 
 
+def test_real_time_keeps_the_pace_whatever_the_companion_does(
+    serve: Serve, companion: Client
+) -> None:
+    run = serve(companion.endpoint, speedup=20.0)
+    companion.datagram()  # heard once, never answered
+    start_s, start_us = time.monotonic(), run.simulation.now_us
+    assert not run.ended(0.6)
+    flown_s, passed_s = (run.simulation.now_us - start_us) * 1e-6, time.monotonic() - start_s
+    assert 10.0 < flown_s / passed_s < 22.0  # a busy computer may let time slip, but gains none
+
+
 # --- as a process: several vehicles, several links ------------------------------------------------
 
 
-def test_three_vehicles_on_one_port_are_told_apart_by_their_systems(
+def test_clients_on_shared_links_hear_each_other_once_through_the_vehicles(
     start: Start, companion: Client, tmp_path: Path
 ) -> None:
-    process = start(
-        *("--count", 3, "--connect", companion.endpoint, "--speedup", 20),
-        *("--duration", 20, "--autopilot", "px4", "--out", tmp_path),
-    )
-    companion.datagram()
-    while True:  # until its estimator lets it
-        companion.send(companion.command(400, 1, 21196, target=(2, 1)))
-        accepted = [m for m in companion.messages() if getattr(m, "result", None) == 0]
-        if accepted:
-            break
-    assert accepted[0].get_srcSystem() == 2
-    code, out, err = process.result()
-    assert (code, err) == (0, "")
-    assert "as system 1 to 3" in out
-    for number, name in enumerate(("truth.jsonl", "truth-2.jsonl", "truth-3.jsonl")):
-        _, *rows = map(json.loads, (tmp_path / name).read_text("utf-8").splitlines())
-        assert any(row["armed"] for row in rows) is (number == 1)
-        assert rows[0]["east_m"] == pytest.approx(10.0 * number, abs=0.01)
-
-
-def test_with_a_port_step_each_vehicle_has_its_own_ports(start: Start) -> None:
-    with ExitStack() as stack:
-        for _ in range(100):  # until there are two free ports in a row
-            one = stack.enter_context(udp_client())
-            with suppress(OSError):
-                two = stack.enter_context(udp_client(one.port + 1))
-                break
-        start("--count", 2, "--port-step", 1, "--connect", one.endpoint)
-        for client, system in ((one, 1), (two, 2)):
-            beats = [client.wait_for(lambda m: m.get_type() == "HEARTBEAT") for _ in range(3)]
-            assert {beat.get_srcSystem() for beat in beats} == {system}
-
-
-def test_clients_on_shared_links_hear_each_other_once_through_the_vehicles(
-    start: Start, companion: Client
-) -> None:
-    process = start(
-        *("--count", 2, "--connect", companion.endpoint, "--connect", "tcpin:127.0.0.1:0")
-    )
+    how = ("--count", 2, "--connect", companion.endpoint, "--connect", "tcpin:127.0.0.1:0")
+    process = start(*how, "--out", tmp_path)
     assert process.stdout is not None
     port = int(process.stdout.readline().split("tcpin:127.0.0.1:")[1].split(",")[0])
     with tcp_client(port, (255, 190)) as ground:
@@ -249,6 +186,9 @@ def test_clients_on_shared_links_hear_each_other_once_through_the_vehicles(
     assert heard == 1
     process.terminate()
     assert process.result()[::2] == (0, "")
+    for number, name in enumerate(("truth.jsonl", "truth-2.jsonl")):
+        _, first, *_ = map(json.loads, (tmp_path / name).read_text("utf-8").splitlines())
+        assert first["east_m"] == pytest.approx(10.0 * number, abs=0.01)
 
 
 def test_strict_ends_the_run_at_what_the_real_one_does_not_survive(
@@ -264,6 +204,74 @@ def test_strict_ends_the_run_at_what_the_real_one_does_not_survive(
     code, _, err = process.result()
     assert (code, err.count("\n")) == (1, 1)
     assert err.startswith("error: SIM:")
+
+
+# --- endpoints ------------------------------------------------------------------------------------
+
+
+def received(link: Link) -> bytes:
+    """What comes next, within a deadline."""
+    for _ in range(200):
+        data = link.receive()
+        if data is not None and any(data):  # zeros come first, of a new client
+            return data
+        threading.Event().wait(0.01)
+    pytest.fail("nothing came")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("", "x", "udp:1:2", "udpin:host", "tcpin:h:99999", "udpout:h:0", "udpout:::1:14540"),
+        *("tcp:127.0.0.1:5760", "udp://:14540", "UDPOUT:127.0.0.1:14540", "/dev/ttyACM0,57600"),
+        *("udpin:a@b:1", "udpin:h:²", "udpout:h:1 ", "udpin:[::1:5"),
+    ],
+)
+def test_what_is_not_an_endpoint_is_said_to_be_none(text: str) -> None:
+    with pytest.raises(InputError, match=r"udpin:HOST:PORT or tcpin:.*Try udpout:127.0.0.1:14540"):
+        parse_endpoint(text)
+
+
+def test_udpin_finds_a_port_and_answers_everybody_who_was_heard() -> None:
+    with closing(open_link(parse_endpoint("udpin://127.0.0.1:0"))) as link:
+        assert link.endpoint.port > 0
+        with pytest.raises(InputError, match=str(link.endpoint)):  # it is in use
+            open_link(link.endpoint)
+        link.send([b"nobody hears this"])
+        with udp_client() as one, udp_client() as two:
+            for client, words in ((one.link, b"one"), (two.link, b"two")):
+                client.sendto(words, ("127.0.0.1", link.endpoint.port))
+                assert received(link) == words
+            link.send([b"for ", b"both"])
+            assert one.datagram() == two.datagram() == b"for both"
+
+
+def test_what_is_sent_after_a_refusal_is_not_lost_with_it() -> None:
+    with udp_client() as probe:
+        link = open_link(parse_endpoint(probe.endpoint))
+    with closing(link), udp_client(probe.port) as client:
+        link.send([b"now"])
+        assert client.datagram() == b"now"
+
+
+def test_tcp_clients_come_one_after_the_other_and_who_does_not_read_loses_whole_frames() -> None:
+    frame, got = bytes(range(200)) * 5, bytearray()
+    with closing(open_link(parse_endpoint("tcpin:127.0.0.1:0"))) as link:
+        for words in (b"first", b"second"):
+            with tcp_client(link.endpoint.port) as client:
+                client.send(words)
+                assert received(link) == words
+                link.send([words, b"!"])
+                assert client.datagram() == words + b"!"
+                for _ in range(20_000):
+                    link.send([frame])
+                assert len(link._pending) < 1_000_000  # type: ignore[attr-defined]
+                while len(got) < 1_000_000:
+                    got += client.datagram()
+                assert bytes(got[:1_000_000]) == frame * 1000
+            while link.receive() is not None:
+                pass
+        link.send([b"nobody is there"])
 
 
 @pytest.mark.parametrize("count", [1, 2])

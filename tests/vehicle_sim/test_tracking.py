@@ -5,12 +5,9 @@ simulation's; 9.2 m/s of positions alone at 10 m/s (here 9.8: on such a route 9.
 back without end); what is off the path at 0.5 Hz (here 1.7 m rms for 4.0).
 """
 
-import math
-from typing import Any
-
 import pytest
 import tracked
-from tracked import EIGHTS, FIXED_WING, JUMPS, PLANE_ROWS, STOPS, WEAVES
+from tracked import EIGHTS, FIXED_WING, LOOK_AHEADS, STOPS, WEAVES
 
 approx = pytest.approx
 # --- ArduCopter -----------------------------------------------------------------------------------
@@ -51,17 +48,6 @@ def test_a_stream_that_stops_is_flown_on_and_come_back_from_as_measured(row: tra
     assert got.ends_m == approx(row.ends_m, abs=0.5 + 0.05 * row.ends_m)
 
 
-@pytest.mark.sample(3)
-@pytest.mark.parametrize("row", JUMPS, ids=lambda row: row.what)
-def test_a_target_that_jumps_is_reached_as_measured(row: tracked.Jump) -> None:
-    got = tracked.jump(row)
-    assert got.within_s == approx(row.within_s, rel=0.15)
-    assert got.peak_m_s == approx(row.peak_m_s, abs=0.2 if row.ned_m[2] else 0.4)
-    for field, within in (("lateral_m_s", 0.4), ("tilt_deg", 2.0), ("overshoot_m", 0.3)):
-        wanted = getattr(row, field)
-        assert wanted is None or getattr(got, field) == approx(wanted, abs=within), field
-
-
 # --- PX4's multicopter ----------------------------------------------------------------------------
 
 SATURATED_M_S = 12.0
@@ -72,7 +58,7 @@ SATURATED_M_S = 12.0
 @pytest.mark.parametrize(
     "row",
     EIGHTS,
-    ids=lambda row: f"{row.speed_m_s:.0f} {row.kind} {row.rate_hz:.0f} {row.lead_s} {row.carrot_m}",
+    ids=lambda row: f"{row.speed_m_s:.0f} {row.kind} {row.rate_hz:.0f}",
 )
 def test_px4_tracks_a_curve_as_the_real_one_does(row: tracked.Eight) -> None:
     """Without a position, and 0.15 s ahead, the real one's own runs differ by as much."""
@@ -81,12 +67,11 @@ def test_px4_tracks_a_curve_as_the_real_one_does(row: tracked.Eight) -> None:
     if row.speed_m_s >= SATURATED_M_S:
         allowed_m = 0.25 * real.along_mean_m
         across_m = 0.55 if row.kind == "position" else 0.3
-    elif row.kind == "velocity":
+    elif row.kind == "velocity only":
         allowed_m, across_m = 2.5, 0.7
-    elif row.lead_s and row.speed_m_s > 8.0:
+    elif "ahead" in row.kind and row.speed_m_s > 8.0:
         allowed_m = 1.3
-    if not math.isnan(real.along_mean_m):
-        assert measured.along_mean_m == approx(real.along_mean_m, abs=allowed_m)
+    assert measured.along_mean_m == approx(real.along_mean_m, abs=allowed_m)
     assert measured.cross_rms_m == approx(real.cross_rms_m, abs=across_m)
     assert measured.altitude_rms_m <= real.altitude_rms_m + 0.15
     assert measured.speed_m_s == approx(real.speed_m_s, rel=0.035)
@@ -96,16 +81,17 @@ def test_px4_tracks_a_curve_as_the_real_one_does(row: tracked.Eight) -> None:
 
 
 @pytest.mark.sample(2)
-@pytest.mark.parametrize("row", PLANE_ROWS, ids=lambda row: "{0}, {2} m/s2, {3} Hz".format(*row))
-def test_arduplane_follows_a_weaving_route_as_well_as_the_real_one(row: Any) -> None:
-    _, law, lateral_m_s2, hz, real_m = row
-    assert tracked.off_path(law, lateral_m_s2, hz=hz)[:2] == approx(real_m, rel=0.4, abs=2.0)
+@pytest.mark.parametrize("row", LOOK_AHEADS, ids=lambda row: "{} m, {} m, {} m/s2".format(*row))
+def test_arduplane_follows_a_weaving_route_as_well_as_the_real_one(row: tracked.LookAhead) -> None:
+    got = tracked.fly_look_ahead(row)
+    assert (got.rms_m, got.most_m) == approx((row.rms_m, row.most_m), rel=0.4, abs=2.0)
 
 
 @pytest.mark.sample(2)
 @pytest.mark.parametrize("row", FIXED_WING, ids=lambda row: row.name)
 def test_px4s_plane_follows_a_curve_as_measured(row: tracked.FixedWing) -> None:
     got = tracked.fly_fixed(row)
-    assert got.rms_m == approx(row.rms_m, abs=row.within_m)
+    circles = row.name.startswith("DO_REPOSITION")  # it depends on where it begins
+    assert got.rms_m == approx(row.rms_m, abs=1.3, rel=0.4 if circles else 0.15)
     assert got.most_m < row.most_m + max(0.2 * row.most_m, 1.5)
     assert got.speed_m_s == approx(13.9, abs=0.25)

@@ -2,22 +2,30 @@
 
 ardupilot.md 3 (ArduCopter) and 7 (ArduPlane), px4.md 5 (multicopter) and 10 (fixed wing): their
 tables, and how it is measured there.  Lengths in metres, angles in radians unless named; vectors
-are north, east, down.
+are north, east, down, and what is level is north + east j.
 """
 
-import cmath
 import math
+import re
 from collections import namedtuple
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from harness import NAN, STEP_S, ZERO, Rig, Vector, circling, copied, cruising, hover, hovering
+from harness import STEP_S, ZERO, Rig, Vector, circling, copied, cruising, hover, hovering
+from numpy.typing import NDArray
 
 from vehicle_sim.geodesy import FloatArray
 
+Level = NDArray[np.complex128]
 SWING_RAD: Final = 2.404825557695773
 """First zero of J0: a route that swings so far to both sides closes."""
+
+
+def _page(name: str) -> str:
+    """Of docs/reference, whose tables are read from it."""
+    return (Path(__file__).parents[2] / f"docs/reference/{name}.md").read_text("utf-8")
 
 
 class Sine:
@@ -26,35 +34,32 @@ class Sine:
     def __init__(
         self, swing_rad: float, wave_m: float, length_m: float, step_m: float, begins_rad: float = 0
     ) -> None:
-        self.step_m = step_m
-        phase = begins_rad + math.tau / wave_m * step_m * np.arange(round(length_m / step_m))
-        middle = swing_rad * np.sin(phase + 0.5 * math.tau / wave_m * step_m)
-        steps = step_m * np.stack([np.cos(middle), np.sin(middle)], axis=-1)
-        self.ne_m: FloatArray = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)[:-1]])
+        self.step_m, turn_1_m = step_m, math.tau / wave_m
+        phase = begins_rad + turn_1_m * step_m * np.arange(round(length_m / step_m))
+        steps = step_m * np.exp(1j * swing_rad * np.sin(phase + 0.5 * turn_1_m * step_m))
+        self.at: Level = np.cumsum(steps) - steps
         self.heading_rad = swing_rad * np.sin(phase)
-        self.curvature_1_m = swing_rad * math.tau / wave_m * np.cos(phase)
+        self.way: Level = np.exp(1j * self.heading_rad)
+        self.curvature_1_m = swing_rad * turn_1_m * np.cos(phase)
 
     def ahead(self, index: int, metres: float) -> int:
         """Index of the point so much further on."""
-        return (index + round(metres / self.step_m)) % len(self.ne_m)
+        return (index + round(metres / self.step_m)) % len(self.at)
 
-    def point(self, index: int) -> tuple[float, float]:
-        """North and east."""
-        north_m, east_m = self.ne_m[index % len(self.ne_m)].tolist()
-        return north_m, east_m
-
-    def bends(self, index: int) -> tuple[complex, float]:
-        """The unit vector of its heading, north + east j, and its curvature."""
-        return cmath.rect(1.0, self.heading_rad[index]), float(self.curvature_1_m[index])
-
-    def nearest(self, ne_m: tuple[float, float], near: int) -> tuple[int, float]:
+    def nearest(self, here: complex, near: int) -> tuple[int, float]:
         """Index of the nearest point within 100 m of another, and how far right of it this is."""
         reach = round(100.0 / self.step_m)
-        indices = (near + np.arange(-reach, reach + 1)) % len(self.ne_m)
-        off = np.array(ne_m) - self.ne_m[indices]
-        best = int(np.argmin((off * off).sum(axis=-1)))
-        way, _ = self.bends(int(indices[best]))
-        return int(indices[best]), float(off[best, 1] * way.real - off[best, 0] * way.imag)
+        indices = (near + np.arange(-reach, reach + 1)) % len(self.at)
+        index = int(indices[np.argmin(np.abs(here - self.at[indices]))])
+        return index, float(((here - self.at[index]) / self.way[index]).imag)
+
+    def followed(self, places: Level, begin: int = 0) -> tuple[FloatArray, FloatArray]:
+        """Of each place in turn: metres along, lap after lap, and how far right.  -> two of (T,)"""
+        found = list[tuple[int, float]]()
+        for here in places.tolist():
+            found.append(self.nearest(here, found[-1][0] if found else begin))
+        index, right_m = np.array(found).T
+        return np.unwrap(index, period=len(self.at)) * self.step_m, right_m
 
 
 Off = namedtuple("Off", "rms_m most_m speed_m_s")
@@ -65,7 +70,7 @@ def _rms(values: Any) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _flat(level: complex, down: float) -> Vector:
+def _flat(level: complex, down: float = 0.0) -> Vector:
     return level.real, level.imag, down
 
 
@@ -74,20 +79,12 @@ class Seen(NamedTuple):
 
     step: FloatArray
     """Of the rig: the one that has been flown."""
-    ned_m: FloatArray
-    """Where it believed to be.  (T, 3)"""
-    neu_m_s: FloatArray
-    """How it moved.  (T, 3)"""
+    ne_m: Level
+    """Where it believed to be."""
+    down_m: FloatArray
+    moves_m_s: Level
+    climb_m_s: FloatArray
     lean_deg: FloatArray
-
-    @property
-    def ne_m(self) -> FloatArray:
-        """North + east j."""
-        return self.ned_m[:, 0] + 1j * self.ned_m[:, 1]
-
-    @property
-    def speed_m_s(self) -> FloatArray:
-        return np.hypot(*self.neu_m_s[:, :2].T)
 
 
 def _flown(
@@ -100,8 +97,10 @@ def _flown(
             send(k, seen)
         rig.step()
         if k % 5 == 0 and k * STEP_S >= since_s:
+            (north, east, down), moves = rig.ned_m, vehicle.velocity_m_s
             lean_rad = math.acos(math.cos(vehicle.roll_rad) * math.cos(vehicle.pitch_rad))
-            seen.append((k, rig.ned_m, vehicle.velocity_neu_m_s, math.degrees(lean_rad)))
+            lean_deg, climb_m_s = math.degrees(lean_rad), vehicle.velocity_up_m_s
+            seen.append((k, complex(north, east), down, moves, climb_m_s, lean_deg))
     return Seen(*map(np.array, zip(*seen, strict=True)))
 
 
@@ -123,10 +122,15 @@ def aim(it: Rig, kind: str, position: Vector, *derivatives: Vector) -> None:
         it.aim(position, *derivatives[: kind.count("+")])
 
 
-def smooth(ramp: float) -> float:
-    """A ramp from 0 to 1 without a corner."""
-    ramp = min(ramp, 1.0)
-    return ramp * ramp * (3.0 - 2.0 * ramp)
+def _ramp(share: Any) -> Any:
+    """From 0 to 1 without a corner."""
+    share = np.minimum(share, 1.0)
+    return share * share * (3.0 - 2.0 * share)
+
+
+def _moved(rate: Any) -> Any:
+    """What a rate of each step has come to before it."""
+    return (np.cumsum(rate, axis=0) - rate) * STEP_S
 
 
 def weave(speed_m_s: float, lateral_m_s2: float, seconds: float) -> tuple[FloatArray, ...]:
@@ -134,21 +138,17 @@ def weave(speed_m_s: float, lateral_m_s2: float, seconds: float) -> tuple[FloatA
     acceleration, speed ramped up smoothly at 1 m/s2, and climbs of 1 m/s.  -> three of (T, 3).
     """
     time_s, w = STEP_S * np.arange(round(seconds / STEP_S)), math.tau / PERIOD_S
-    share = np.array([smooth(t / (1.5 * speed_m_s)) for t in time_s])
+    share = _ramp(time_s / (1.5 * speed_m_s))
     course = lateral_m_s2 / (speed_m_s * w) * share * np.sin(w * time_s)
-    down_m_s = -share * np.sin(math.tau / 40.0 * time_s)
-    level_m_s = speed_m_s * share
-    velocity = np.stack([level_m_s * np.cos(course), level_m_s * np.sin(course), down_m_s], axis=-1)
-    position = (0.0, 0.0, -30.0) + (np.cumsum(velocity, axis=0) - velocity) * STEP_S
-    return position, velocity, np.gradient(velocity, STEP_S, axis=0)
+    level, down_m_s = speed_m_s * share, -share * np.sin(math.tau / 40.0 * time_s)
+    velocity = np.stack([level * np.cos(course), level * np.sin(course), down_m_s], axis=-1)
+    return _moved(velocity) - (0.0, 0.0, 30.0), velocity, np.gradient(velocity, STEP_S, axis=0)
 
 
 Weave = namedtuple(
     "Weave", "speed_m_s lateral_m_s2 lean_deg kind rate_hz along_m off_rms_m off_max_m"
 )
 """A row of the document's table, or how it was flown: along is a mean, negative behind."""
-
-
 WEAVES = (
     Weave(5, 1.0, 30, "position", 10, -10.3, 0.52, 0.8),
     Weave(5, 1.0, 30, "pos+vel", 4, -0.2, 0.64, 0.9),
@@ -196,8 +196,6 @@ def fly_weave(row: Weave, *, seconds: float = 90.0) -> Weave:
 
 Stop = namedtuple("Stop", "kind timeout_s brakes_s still_s furthest_m ends_m")
 """A stream at 10 m/s that ends: seconds and metres from its last setpoint."""
-
-
 STOPS = (
     Stop("position", 3.0, None, 6.4, 0.8, 0.0),
     Stop("pos+vel", 3.0, 3.7, 7.1, 53.7, 30.0),
@@ -213,186 +211,80 @@ STOPS = (
 def end_stream(row: Stop) -> Stop:
     """Fly straight at 10 m/s for 35 s, end the stream, and measure."""
     it, last = hovering(GUID_TIMEOUT=row.timeout_s, WPNAV_SPEED=1000.0), 3490
-    speed = np.array([10.0 * smooth(k * STEP_S / 15.0) for k in range(last + 1)])
-    north = ((np.cumsum(speed) - speed) * STEP_S).tolist()
+    speed = 10.0 * _ramp(np.arange(last + 1) * STEP_S / 15.0)
+    north = _moved(speed).tolist()
 
     def send(k: int, _: Any) -> None:
         if k <= last:
             aim(it, row.kind, (north[k], 0.0, -30.0), (float(speed[k]), 0.0, 0.0), ZERO)
 
     seen = _flown(it, 65.0, 10.0, send, since_s=last * STEP_S)
-    after_s, ahead_m = (seen.step + 1 - last) * STEP_S, seen.ned_m[:, 0] - north[last]
-    brakes_s, still_s = (after_s[seen.neu_m_s[:, 0] < slow][0] for slow in (9.5, 0.1))
+    after_s, ahead_m = (seen.step + 1 - last) * STEP_S, seen.ne_m.real - north[last]
+    brakes_s, still_s = (after_s[seen.moves_m_s.real < slow][0] for slow in (9.5, 0.1))
     return Stop(row.kind, row.timeout_s, brakes_s, still_s, ahead_m.max(), ahead_m[-1])
-
-
-Jump = namedtuple(
-    "Jump",
-    "what kind ned_m speed_m_s peak_m_s within_s overshoot_m tilt_deg lateral_m_s",
-    defaults=(None, None, None),
-)
-"""A jump of the target at this speed, or from hover: the peak of the speed, horizontal or for a
-vertical jump vertical; until it is within 1 m for good; the peak of the speed across."""
-
-
-JUMPS = (
-    Jump("5 m sideways", "pos+vel+acc", (0.0, 5.0, 0.0), 6.0, 6.5, 2.6, 0.3, 24.0, 2.5),
-    Jump("20 m sideways", "pos+vel+acc", (0.0, 20.0, 0.0), 6.0, 8.1, 5.6, 0.6, 30.0, 5.4),
-    Jump("20 m sideways, position", "position", (0.0, 20.0, 0.0), 6.0, 7.1, 7.8, 0.0, 26.0, 4.8),
-    Jump("60 m sideways", "pos+vel+acc", (0.0, 60.0, 0.0), 6.0, 11.4, 10.2, 0.9, 40.0, 9.6),
-    Jump("200 m ahead, position", "position", (200.0, 0.0, 0.0), 0.0, 10.4, 27.0, 0.8),
-    Jump("200 m ahead, pos+vel(0)", "pos+vel", (200.0, 0.0, 0.0), 0.0, 10.3, 24.0, 0.8),
-    Jump("20 m up", "pos+vel+acc", (0.0, 0.0, -20.0), 0.0, 2.5, 10.0),
-    Jump("20 m down", "pos+vel+acc", (0.0, 0.0, 20.0), 0.0, 1.5, 14.0),
-)
-
-
-def jump(row: Jump) -> Jump:
-    """Fly on for 30 s, move the target, and measure along the jump."""
-    it, jumps_s = hovering(60.0, GUID_TIMEOUT=3.0, WPNAV_SPEED=1000.0), 30.0
-    speed = np.minimum(np.arange(6500) * STEP_S, row.speed_m_s)
-    targets = np.zeros((6500, 3))
-    targets[:, 0], targets[:, 2] = (np.cumsum(speed) - speed) * STEP_S, -60.0
-    targets[round(jumps_s / STEP_S) :] += row.ned_m
-
-    def send(k: int, _: Any) -> None:
-        north, east, down = targets[k].tolist()
-        aim(it, row.kind, (north, east, down), (float(speed[k]), 0.0, 0.0), ZERO)
-
-    seen = _flown(it, 65.0, 10.0, send, since_s=jumps_s)
-    away, axis = targets[seen.step] - seen.ned_m, int(np.argmax(np.abs(row.ned_m)))
-    # a stream of positions alone is trailed: then only the way across counts
-    far = np.abs(away[:, axis]) if row.kind == "position" else np.linalg.norm(away, axis=-1)
-    return row._replace(
-        peak_m_s=(np.abs(seen.neu_m_s[:, 2]) if row.ned_m[2] else seen.speed_m_s).max(),
-        within_s=float(np.flatnonzero(far > 1.0)[-1] + 1) * 5 * STEP_S,
-        overshoot_m=max(0.0, (-np.sign(row.ned_m[axis]) * away[:, axis]).max()),
-        tilt_deg=seen.lean_deg.max(),
-        lateral_m_s=np.abs(seen.neu_m_s[:, 1]).max(),
-    )
 
 
 # --- PX4's multicopter: px4.md 5 ------------------------------------------------------------------
 
-LENGTH_M, _HEIGHT_M, _WAVE_M = 756.0, 20.0, 3.0
-"""The route is a figure eight of least radius 50 m, with 3 m of height up and down."""
-_RUN_S, _RAMP_M_S2 = 42.0, 2.0
-
-
-class Curve(Sine):
-    """The figure eight, with heights and what the target does on it."""
-
-    def __init__(self) -> None:
-        super().__init__(SWING_RAD, LENGTH_M, LENGTH_M, 0.02)
-
-    def at(self, along_m: float, speed_m_s: float) -> tuple[Vector, Vector, Vector, float]:
-        """Position, velocity, acceleration and yaw of the target there."""
-        index, phase = self.ahead(0, along_m), math.tau * along_m / LENGTH_M
-        way, curvature = self.bends(index)
-        slope = -_WAVE_M * math.tau / LENGTH_M * math.cos(phase)
-        return (
-            (*self.point(index), -_HEIGHT_M - _WAVE_M * math.sin(phase)),
-            _flat(speed_m_s * way, speed_m_s * slope),
-            _flat(1j * speed_m_s * speed_m_s * curvature * way, 0.0),
-            float(self.heading_rad[index]),
-        )
-
-    def along(self, ne_m: tuple[float, float], near_m: float) -> tuple[float, float]:
-        """Metres along the curve of the nearest point, and how far right of it this is."""
-        index, right_m = self.nearest(ne_m, self.ahead(0, near_m))
-        laps = round((near_m - index * self.step_m) / LENGTH_M)
-        return index * self.step_m + laps * LENGTH_M, right_m
-
-
+EIGHT: Final = Sine(SWING_RAD, 756.0, 756.0, 0.02)
+"""A figure eight of least radius 50 m."""
+_LENGTH_M, _HEIGHT_M, _WAVE_M, _RAMP_M_S2 = 756.0, 20.0, 3.0, 2.0
+"""With 3 m of height up and down, and of a target that gathers speed."""
 Tracking = namedtuple(
     "Tracking", "along_mean_m along_max_m cross_rms_m cross_max_m altitude_rms_m speed_m_s"
 )
-"""How well; along is NaN where it was not measured."""
+"""How well."""
+Eight = namedtuple("Eight", "kind speed_m_s rate_hz real")
+"""One row of the table: what is sent, some of it ahead of its time."""
+EIGHTS: Final = tuple(
+    Eight(kind, float(speed), float(rate), Tracking(*map(float, re.findall(r"[-.\d]+", figures))))
+    for speed, kind, rate, figures in re.findall(
+        r"^\| (\d+) \| ((?:pos|vel).*?) \| (\d+) \| (.*) \|$", _page("px4"), re.MULTILINE
+    )
+)
 
 
-Eight = namedtuple("Eight", "kind speed_m_s rate_hz real lead_s carrot_m", defaults=(0.0, None))
-"""One row: a target sent so far ahead of its time, or positions alone so far ahead of the nearest
-point, whatever the time is."""
-
-
-def _moved(elapsed_s: float, speed_m_s: float) -> tuple[float, float]:
-    """Distance of a target that gathers speed, and how fast it is."""
-    ramp_s = speed_m_s / _RAMP_M_S2
-    if elapsed_s < ramp_s:
-        return 0.5 * _RAMP_M_S2 * elapsed_s * elapsed_s, _RAMP_M_S2 * elapsed_s
-    return speed_m_s * (elapsed_s - 0.5 * ramp_s), speed_m_s
+def _down_m(along_m: Any) -> Any:
+    return -_HEIGHT_M - _WAVE_M * np.sin(math.tau * along_m / _LENGTH_M)
 
 
 def fly_eight(row: Eight) -> Tracking:
     """One run of 42 s; measured 2 s after the target has gathered its speed, at 9 s at least."""
-    rig, curve, reached_m = hover(20.0), Curve(), 0.0
-    begins_s = max(9.0, row.speed_m_s / _RAMP_M_S2 + 2.0)
+    rig, ramp_s = hover(20.0), row.speed_m_s / _RAMP_M_S2
+
+    def moved(elapsed_s: Any) -> tuple[Any, Any]:
+        """Distance of the target, and how fast it is."""
+        ramped_s = np.minimum(elapsed_s, ramp_s)
+        moving_m_s = _RAMP_M_S2 * ramped_s
+        return moving_m_s * (elapsed_s - 0.5 * ramped_s), moving_m_s
 
     def send(k: int, _: Any) -> None:
-        nonlocal reached_m
-        target_m, moving_m_s = _moved(k * STEP_S, row.speed_m_s)
-        target_m += moving_m_s * row.lead_s
-        if row.carrot_m is not None:
-            reached_m, _ = curve.along(rig.ne_m, reached_m)
-            target_m = reached_m + row.carrot_m
-        position, velocity, acceleration, yaw_rad = curve.at(target_m, moving_m_s)
+        target_m, moving_m_s = map(float, moved(k * STEP_S))
+        target_m += moving_m_s * (0.15 if "0.15 s ahead" in row.kind else 0.0)
+        there, phase = EIGHT.ahead(0, target_m), math.tau * target_m / _LENGTH_M
+        sinks_m_s = -moving_m_s * _WAVE_M * math.tau / _LENGTH_M * math.cos(phase)
+        way, bend_1_m = EIGHT.way[there], EIGHT.curvature_1_m[there]
         rig.aim(
-            None if row.kind == "velocity" else position,
-            None if row.kind == "position" else velocity,
-            acceleration if row.kind == "pos + vel + acc" else None,
-            yaw_rad,
+            _flat(EIGHT.at[there], float(_down_m(target_m))) if "pos" in row.kind else None,
+            _flat(moving_m_s * way, sinks_m_s) if "vel" in row.kind else None,
+            _flat(1j * moving_m_s**2 * bend_1_m * way) if "acc" in row.kind else None,
+            float(EIGHT.heading_rad[there]),
         )
 
-    seen, reached_m, on = _flown(rig, _RUN_S, row.rate_hz, send), 0.0, []
-    for step, ned_m in zip(seen.step, seen.ned_m, strict=True):
-        reached_m, cross_m = curve.along(ned_m[:2], reached_m)
-        behind_m = _moved((step + 1) * STEP_S, row.speed_m_s)[0] - reached_m
-        on.append((behind_m, cross_m, ned_m[2] - curve.at(reached_m, row.speed_m_s)[0][2]))
-    counts = seen.step * STEP_S >= begins_s
-    along, cross, high = np.array(on)[counts].T
-    most_m, aside_m = np.abs(along).max(), np.abs(cross).max()
-    speed_m_s = seen.speed_m_s[counts].mean()
-    return Tracking(along.mean(), most_m, _rms(cross), aside_m, _rms(high), speed_m_s)
-
-
-def _eight(kind: str, speed: float, rate: float, figures: str, lead_s: float = 0.0) -> Eight:
-    return Eight(kind, speed, rate, Tracking(*map(float, figures.split())), lead_s)
-
-
-def _carrot(carrot_m: float, *figures: float) -> Eight:
-    real = Tracking(NAN, NAN, *figures)
-    return Eight("position", real.speed_m_s, 20.0, real, carrot_m=carrot_m)
-
-
-_P, _PV, _PVA = "position", "position + velocity", "pos + vel + acc"
-EIGHTS = (
-    _eight(_P, 5.0, 20.0, "5.5 5.8 0.20 0.45 0.13 5.1"),
-    _eight(_PV, 5.0, 20.0, "0.2 0.7 0.18 0.43 0.16 5.0"),
-    _eight(_PVA, 5.0, 20.0, "0.3 0.4 0.40 0.80 0.13 5.1"),
-    _eight(_P, 8.0, 20.0, "8.7 9.0 0.33 0.66 0.13 8.0"),
-    _eight(_PV, 8.0, 20.0, "0.4 0.7 0.62 1.26 0.12 8.1"),
-    _eight(_PVA, 8.0, 20.0, "0.5 0.9 0.46 0.96 0.17 8.1"),
-    _eight(_P, 10.0, 20.0, "10.9 11.2 0.22 0.43 0.14 10.0"),
-    _eight(_PV, 10.0, 20.0, "0.4 0.6 0.84 1.51 0.11 10.1"),
-    _eight(_PVA, 10.0, 20.0, "0.7 1.0 0.69 1.10 0.12 10.1"),
-    _eight(_P, 12.0, 20.0, "15.8 18.8 0.65 1.11 0.23 11.9"),
-    _eight(_PV, 12.0, 20.0, "5.5 9.2 0.60 0.95 0.12 12.0"),
-    _eight(_PVA, 12.0, 20.0, "11.0 17.9 0.44 0.96 0.22 11.5"),
-    _eight("velocity", 8.0, 20.0, "7.3 8.7 0.70 1.34 1.00 8.0"),
-    _eight(_PV, 8.0, 5.0, "0.9 1.2 0.48 0.70 0.13 8.1"),
-    _eight(_PVA, 8.0, 5.0, "1.0 1.2 0.41 1.09 0.11 8.0"),
-    _eight(_PV, 8.0, 10.0, "0.5 0.7 0.40 0.89 0.13 8.0"),
-    _eight(_PVA, 8.0, 10.0, "0.5 0.8 0.28 0.60 0.16 7.9"),
-    _eight(_PV, 8.0, 50.0, "0.3 0.7 0.59 1.23 0.22 8.2"),
-    _eight(_PVA, 8.0, 50.0, "0.3 0.9 0.41 0.81 0.08 8.1"),
-    _eight(_P, 8.0, 2.0, "10.5 10.8 0.29 0.59 0.09 8.0"),
-    _eight(_P, 8.0, 5.0, "9.3 9.6 0.21 0.48 0.14 8.0"),
-    _eight(_PVA, 8.0, 20.0, "-0.8 1.3 0.43 0.87 0.16 8.0", 0.15),
-    _eight(_PVA, 10.0, 20.0, "0.3 3.1 0.61 1.06 0.07 10.3", 0.15),
-    _carrot(5.0, 0.38, 0.75, 0.10, 4.6),
-    _carrot(8.0, 0.35, 0.62, 0.10, 7.3),
-    _carrot(10.0, 0.30, 0.67, 0.12, 9.2),
-)
+    seen = _flown(rig, 42.0, row.rate_hz, send)
+    along_m, cross_m = EIGHT.followed(seen.ne_m)
+    counts = seen.step * STEP_S >= max(9.0, ramp_s + 2.0)
+    behind, cross, high, speed = (
+        each[counts]
+        for each in (
+            moved((seen.step + 1) * STEP_S)[0] - along_m,
+            cross_m,
+            seen.down_m - _down_m(along_m),
+            np.abs(seen.moves_m_s),
+        )
+    )
+    most_m, aside_m = np.abs(behind).max(), np.abs(cross).max()
+    return Tracking(behind.mean(), most_m, _rms(cross), aside_m, _rms(high), speed.mean())
 
 
 # --- planes: aimed from the point of the route nearest to where the vehicle was -------------------
@@ -405,122 +297,76 @@ def _followed(
     *,
     hz: float,
     seconds: float,
-    counts: Callable[[float, int], bool],
+    counts: Callable[[Any, Any], Any],
     begin: int = 0,
     age: int = 0,
 ) -> Off:
-    """Aim from the point nearest to where the vehicle was, so many looks ago."""
+    """Aim from the point nearest to where the vehicle was, so many looks ago; counts: which of the
+    seconds and metres along."""
     index = begin
 
     def send(_: int, seen: Sequence[Any]) -> None:
         nonlocal index
-        here = seen[-age][1] if len(seen) > age > 0 else rig.ned_m
-        index, _ = route.nearest(here[:2], index)
+        here = seen[-age][1] if len(seen) > age > 0 else complex(*rig.ne_m)
+        index, _ = route.nearest(here, index)
         aim(index)
 
-    seen, on = _flown(rig, seconds, hz, send), begin
-    flown = list[tuple[float, float]]()
-    for step, ned_m, speed_m_s in zip(seen.step, seen.ned_m, seen.speed_m_s, strict=True):
-        on, right_m = route.nearest(ned_m[:2], on)
-        if counts(step * STEP_S, on):
-            flown.append((right_m, speed_m_s))
-    off_m, speed = np.array(flown).T
-    return Off(_rms(off_m), float(np.abs(off_m).max()), float(speed.mean()))
+    seen = _flown(rig, seconds, hz, send)
+    along_m, right_m = route.followed(seen.ne_m, begin)
+    there = counts(seen.step * STEP_S, along_m)
+    off_m, speed_m_s = right_m[there], np.abs(seen.moves_m_s[there])
+    return Off(_rms(off_m), float(np.abs(off_m).max()), float(speed_m_s.mean()))
 
 
 # --- ArduPlane: ardupilot.md 7 --------------------------------------------------------------------
 
-RADIUS_MOST_M = 600.0
-"""Of an osculating circle: the route has straight places."""
 AGE = 3
 """Looks: a client knows where the vehicle was 0.15 s ago: telemetry at 10 Hz, and its own time."""
-Law = Callable[[Rig, Sine, int], object]
-"""Sends what it takes, with the index of the nearest point."""
-
-
-def look_ahead(ahead_m: float, radius_m: float) -> Law:
-    """DO_REPOSITION to a point ahead on the route."""
-    return lambda rig, route, nearest: rig.reposition(
-        *route.point(route.ahead(nearest, ahead_m)), 80.0, radius_m
+LookAhead = namedtuple("LookAhead", "ahead_m radius_m lateral_m_s2 rms_m most_m")
+"""A row of "Following a weaving route at 21 m/s": DO_REPOSITION at 4 Hz to a circle of this radius,
+0 for the usual, about a point ahead on a route of this lateral acceleration."""
+LOOK_AHEADS: Final = tuple(
+    LookAhead(float(ahead_m), 0.0 if "default radius" in how else 10.0, *map(float, figures))
+    for ahead_m, how, *figures in re.findall(
+        r"^\| (?:DO_REPOSITION,? )?(?:look-ahead )?(\d+) m(.*?) \| ([.\d]+).*? \| "
+        r"\**([.\d]+) / ([.\d]+)",
+        _page("ardupilot").partition("## 7. Plane")[2],
+        re.MULTILINE,
     )
-
-
-def osculating(ahead_s: float, smaller_m: float = 17.0) -> Law:
-    """DO_REPOSITION to the centre of curvature of the route some seconds ahead."""
-
-    def send(rig: Rig, route: Sine, nearest: int) -> object:
-        index = route.ahead(nearest, ahead_s * rig.speed_m_s)
-        way, curvature = route.bends(index)
-        radius_m = min(1.0 / max(abs(curvature), 1e-6), RADIUS_MOST_M)
-        centre = complex(*route.point(index)) + 1j * math.copysign(radius_m, curvature) * way
-        radius_m = max(radius_m - smaller_m, 2.0)
-        return rig.reposition(centre.real, centre.imag, 80.0, radius_m, float(curvature < 0.0))
-
-    return send
-
-
-def heading_towards(ahead_m: float, lateral_m_s2: float = 6.0) -> Law:
-    """GUIDED_CHANGE_HEADING, course over ground, towards a point ahead."""
-
-    def send(rig: Rig, route: Sine, nearest: int) -> object:
-        way = complex(*route.point(route.ahead(nearest, ahead_m))) - complex(*rig.ne_m)
-        course_deg = math.degrees(cmath.phase(way)) % 360.0
-        return rig.command(43002, 0.0, course_deg, lateral_m_s2, frame=3)
-
-    return send
+)
 
 
 @copied
 def _before_the_route() -> Rig:
     """400 m south of home, where routes begin."""
     rig = circling(0.0, AIRSPEED_CRUISE=20.0)
-    rig.reposition(-900.0, 0.0, 80.0, 10.0)
-    rig.until(lambda: rig.ne_m[0] < -800.0)
-    rig.reposition(-200.0, 0.0, 80.0, 10.0)
-    rig.until(lambda: rig.ne_m[0] > -410.0)
+    for to_m, from_m in ((-900.0, -800.0), (-200.0, -410.0)):
+        rig.reposition(to_m, 0.0, 80.0, 10.0)
+        rig.until(lambda: (rig.ne_m[0] > from_m) is (to_m > -900.0))  # noqa: B023
     return rig
 
 
-def off_path(law: Law, lateral_m_s2: float, *, hz: float = 4.0) -> Off:
+def fly_look_ahead(row: LookAhead) -> Off:
     """At an airspeed of 20 m/s along a route that swings by 25 deg; its first 400 m apart."""
     swing_rad, speed_m_s = math.radians(25.0), 21.0
     # curvature at most swing * 2 pi / wave = lateral / speed^2
-    route = Sine(swing_rad, swing_rad * math.tau * speed_m_s**2 / lateral_m_s2, 6000.0, 1.0)
-    route.ne_m -= (400.0, 0.0)
-    rig = _before_the_route()
+    wave_m = swing_rad * math.tau * speed_m_s**2 / row.lateral_m_s2
+    route, rig = Sine(swing_rad, wave_m, 6000.0, 1.0), _before_the_route()
+    route.at -= 400.0
+
+    def send(nearest: int) -> None:
+        there = route.at[route.ahead(nearest, row.ahead_m)]
+        rig.reposition(*_flat(there, 80.0), row.radius_m)
+
     return _followed(
         rig,
         route,
-        lambda nearest: law(rig, route, nearest),
-        hz=hz,
+        send,
+        hz=4.0,
         seconds=100.0,
-        counts=lambda _, index: 400 < index < 5900,
+        counts=lambda _, along_m: (along_m > 400.0) & (along_m < 5900.0),
         age=AGE,
     )
-
-
-PLANE_ROWS: tuple[tuple[str, Law, float, float, tuple[float, float]], ...] = (
-    ("reposition 115 m ahead, radius 10 m", look_ahead(115.0, 10.0), 1.0, 4.0, (3.0, 4.4)),
-    ("reposition 60 m ahead, radius 10 m", look_ahead(60.0, 10.0), 2.0, 4.0, (31.0, 40.0)),
-    ("reposition 80 m ahead, radius 10 m", look_ahead(80.0, 10.0), 2.0, 4.0, (24.0, 35.0)),
-    ("reposition 100 m ahead, radius 10 m", look_ahead(100.0, 10.0), 2.0, 4.0, (7.5, 13.9)),
-    ("reposition 115 m ahead, radius 10 m", look_ahead(115.0, 10.0), 2.0, 4.0, (6.0, 8.8)),
-    ("reposition 115 m ahead, radius 2 m", look_ahead(115.0, 2.0), 2.0, 4.0, (6.0, 8.8)),
-    ("reposition 130 m ahead, radius 10 m", look_ahead(130.0, 10.0), 2.0, 4.0, (7.9, 12.5)),
-    ("reposition 130 m ahead, radius 10 m", look_ahead(130.0, 10.0), 2.0, 10.0, (8.2, 12.8)),
-    ("reposition 160 m ahead, radius 10 m", look_ahead(160.0, 10.0), 2.0, 4.0, (11.6, 18.7)),
-    ("reposition 160 m ahead, radius 10 m", look_ahead(160.0, 10.0), 2.0, 1.0, (10.6, 16.6)),
-    ("reposition 200 m ahead, usual radius", look_ahead(200.0, 0.0), 2.0, 4.0, (16.6, 28.0)),
-    ("reposition 300 m ahead, usual radius", look_ahead(300.0, 0.0), 2.0, 4.0, (25.0, 48.0)),
-    ("osculating circle 2 s ahead", osculating(2.0), 2.0, 4.0, (5.0, 12.0)),
-    ("heading to a point 60 m ahead", heading_towards(60.0), 2.0, 4.0, (11.0, 16.0)),
-    ("reposition 110 m ahead, radius 10 m", look_ahead(110.0, 10.0), 3.5, 4.0, (9.5, 14.3)),
-    ("reposition 130 m ahead, radius 10 m", look_ahead(130.0, 10.0), 3.5, 4.0, (12.1, 19.6)),
-    ("osculating circle 2 s ahead", osculating(2.0), 3.5, 4.0, (8.7, 12.0)),
-)
-"""ardupilot.md 7, "Following a weaving route at 21 m/s": law, lateral acceleration of the route in
-m/s2, Hz, and what the real one was off the path, rms and most in m.  That "80 m" of the row
-"60 m, radius 10 / 80 m" is a look-ahead is read from its figures."""
 
 
 # --- PX4's fixed wing: px4.md 10 ------------------------------------------------------------------
@@ -538,53 +384,48 @@ def fixed_wing_route() -> Sine:
     return Sine(SWING_RAD, length_m, length_m, length_m / 6044, math.pi / 2.0)
 
 
-FixedWing = namedtuple("FixedWing", "name kind lead_m rate_hz rms_m most_m within_m")
-"""One line of the table, and how near the rms of the simulator is to be."""
-
-
-FIXED_WING: Final = (
-    FixedWing("pos + vel, nearest point", "pos + vel", 0.0, 10.0, 3.8, 6.7, 0.6),
-    FixedWing("pos + vel, nearest point, 2.5 Hz", "pos + vel", 0.0, 2.5, 3.9, 8.0, 1.0),
-    FixedWing("pos + vel, lead 15 m", "pos + vel", 15.0, 10.0, 1.8, 4.1, 1.2),
-    FixedWing("pos + vel, lead 20 m", "pos + vel", 20.0, 10.0, 1.1, 3.8, 1.0),
-    FixedWing("pos + vel, lead 30 m", "pos + vel", 30.0, 10.0, 1.3, 6.9, 1.3),
-    FixedWing("pos + vel, lead 60 m", "pos + vel", 60.0, 10.0, 1.6, 3.0, 1.2),
-    FixedWing("pos + vel + acc", "pos + vel + acc", 0.0, 10.0, 7.9, 12.6, 1.2),
-    FixedWing("pos + vel - acc (negated)", "pos + vel - acc", 0.0, 10.0, 0.9, 2.2, 0.9),
-    FixedWing("pos only, lead 30 m", "position", 30.0, 10.0, 0.8, 1.5, 0.7),
-    FixedWing("pos only, lead 60 m", "position", 60.0, 10.0, 5.2, 7.1, 1.0),
-    FixedWing("pos only, lead 100 m", "position", 100.0, 10.0, 18.0, 24.5, 2.5),
-    FixedWing("DO_REPOSITION at 1 Hz, lead 130 m", "reposition", 130.0, 1.0, 53.0, 86.0, 20.0),
+FixedWing = namedtuple("FixedWing", "name rms_m most_m")
+"""One row of the table."""
+FIXED_WING: Final = tuple(
+    FixedWing(name, float(rms_m), float(most_m))
+    for name, rms_m, most_m in re.findall(
+        r"^\| ((?:pos|DO_REPO).*?) \| ([.\d]+) / ([.\d]+)", _page("px4"), re.MULTILINE
+    )
 )
-"""px4.md 10, "Curve of least radius 100 m", all of it."""
+
+
+def _told(name: str, unit: str, otherwise: float) -> float:
+    """The number before this unit in the name of a row."""
+    found = re.search(rf"([.\d]+) {unit}\b", name)
+    return float(found[1]) if found else otherwise
 
 
 def fly_fixed(row: FixedWing) -> Off:
     """Fly a row: the last 70 of 95 s along the curve count."""
     route, sent = fixed_wing_route(), 0
-    heading_rad = float(route.heading_rad[_START])
-    rig = cruising(*route.point(_START), _PLANE_HEIGHT_M - 2.0, heading_rad)
+    begins, heading_rad = route.at[_START], float(route.heading_rad[_START])
+    rig = cruising(begins.real, begins.imag, _PLANE_HEIGHT_M - 2.0, heading_rad)
 
     def send(nearest: int) -> None:
         nonlocal sent
         sent += 1
-        index = route.ahead(nearest, row.lead_m)
-        if row.kind == "reposition":
-            rig.reposition(*route.point(index), _PLANE_HEIGHT_M)
+        index = route.ahead(nearest, _told(row.name, "m", 0.0))
+        at, way, bend_1_m = route.at[index], route.way[index], route.curvature_1_m[index]
+        if row.name.startswith("DO_REPOSITION"):
+            rig.reposition(*_flat(at, _PLANE_HEIGHT_M))
             return
         if sent == 3:
             rig.set_mode("Offboard")
-        way, bend = route.bends(index)
-        lateral = _ASKED_M_S**2 * bend * (-1.0 if row.kind == "pos + vel - acc" else 1.0)
-        vectors = _flat(_ASKED_M_S * way, 0.0), _flat(1j * lateral * way, 0.0)
-        given = {"position": 0, "pos + vel": 1}.get(row.kind, 2)
-        rig.aim((*route.point(index), -_PLANE_HEIGHT_M), *vectors[:given])
+        lateral = _ASKED_M_S**2 * bend_1_m * (-1.0 if "- acc" in row.name else 1.0)
+        vectors = _flat(_ASKED_M_S * way), _flat(1j * lateral * way)
+        given = ("vel" in row.name) + ("acc" in row.name)
+        rig.aim(_flat(at, -_PLANE_HEIGHT_M), *vectors[:given])
 
     return _followed(
         rig,
         route,
         send,
-        hz=row.rate_hz,
+        hz=_told(row.name, "Hz", 10.0),
         seconds=_LEAD_IN_S + _PLANE_RUN_S,
         counts=lambda time_s, _: time_s >= _LEAD_IN_S,
         begin=_START,

@@ -14,7 +14,6 @@ from conformance.rows import Comparison, Row
 
 _ALL = (
     rows.ack_rows,
-    rows.exchange_rows,
     rows.once_rows,
     rows.state_rows,
     rows.stream_rows,

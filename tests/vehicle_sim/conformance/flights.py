@@ -68,19 +68,14 @@ class Clock:
             known = best.get(int(log_s))
             if known is None or vehicle_s - log_s > known[1] - known[0]:
                 best[int(log_s)] = (log_s, vehicle_s)
-        log, told = np.array(sorted(best.values()) or [(0.0, 0.0)]).T
-        self._knots = (log, np.maximum.accumulate(told))
+        self._log_s, told_s = np.array(sorted(best.values()) or [(0.0, 0.0)]).T
+        self._told_s = np.maximum.accumulate(told_s)
 
     def vehicle_s(self, log_s: float) -> float:
-        return _along(log_s, *self._knots)
+        return log_s + float(np.interp(log_s, self._log_s, self._told_s - self._log_s))
 
     def log_s(self, vehicle_s: float) -> float:
-        return _along(vehicle_s, *reversed(self._knots))
-
-
-def _along(x: float, knots: FloatArray, values: FloatArray) -> float:
-    inside = min(max(x, knots[0]), knots[-1])
-    return float(np.interp(inside, knots, values) + x - inside)
+        return vehicle_s + float(np.interp(vehicle_s, self._told_s, self._log_s - self._told_s))
 
 
 # --- the recording --------------------------------------------------------------------------------

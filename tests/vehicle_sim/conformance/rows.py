@@ -231,30 +231,7 @@ def _ack_row(name: str, at_s: float, real: Answers, simulated: Answers) -> Row:
     return Row("ack", name, shown, difference, at_s)
 
 
-# --- exchanges and single answers -----------------------------------------------------------------
-
-_EXCHANGES = {
-    39: ("seq", "command", "mission_type"),
-    40: ("seq", "mission_type"),
-    44: ("count", "mission_type"),
-    47: ("type", "mission_type"),
-    51: ("seq", "mission_type"),
-    73: ("seq", "command", "mission_type"),
-}
-"""Mission protocol: message number and the fields that tell what was said."""
-
-
-def exchange_rows(comparison: Comparison) -> Iterator[Row]:
-    for number, fields in _EXCHANGES.items():
-        said = (
-            [
-                (t, f"{message_name(number)} {', '.join(f'{f} {getattr(m, f)}' for f in fields)}")
-                for t, m in side.of(number)
-            ]
-            for side in comparison.sides
-        )
-        yield from timed_rows(comparison, "exchange", paired(*said))
-
+# --- single answers -------------------------------------------------------------------------------
 
 _ONCE = (148, 49, 242)
 """AUTOPILOT_VERSION, GPS_GLOBAL_ORIGIN, HOME_POSITION."""
@@ -289,14 +266,19 @@ def _apart(ours: Any, theirs: Any, tolerance: float) -> float:
     """The most, in tolerances, of numbers or lists of them; NaN is like NaN only."""
     a, b = np.array(ours, float), np.array(theirs, float)
     unlike = (a != b) & ~(np.isnan(a) & np.isnan(b))
-    off = np.abs(a - b)[unlike] / (tolerance or 1e-300)
+    if not tolerance:
+        return math.inf if unlike.any() else 0.0
+    off = np.abs(a - b)[unlike] / tolerance
     return float(np.nan_to_num(off, nan=math.inf).max(initial=0.0))
 
 
-# --- what changes: modes, arming, landing, fixes, estimators --------------------------------------
+# --- what changes: modes, arming, landing, fixes, estimators; and what is exchanged ---------------
 
 _SLOWEST_S = 2.1
 _MODES = {("ardupilot", "copter"): "COPTER_MODE", ("ardupilot", "plane"): "PLANE_MODE"}
+_EXCHANGES = {39: ("seq", "command"), 40: ("seq",), 44: ("count",), 47: ("type",), 51: ("seq",)}
+_EXCHANGES |= {73: ("seq", "command")}
+"""Mission protocol: message number and the fields that tell, beside mission_type, what was said."""
 Told = Callable[[Any], str]
 
 
@@ -316,7 +298,7 @@ def _enum(enum: str, name: str) -> Told:
 
 
 def state_rows(comparison: Comparison) -> Iterator[Row]:
-    """A row for each change of each state."""
+    """A row for each change of each state, and for all that is said in an exchange."""
     modes = _MODES.get((comparison.recording.firmware, comparison.recording.kind))
 
     def mode(name: str) -> Told:
@@ -344,6 +326,10 @@ def state_rows(comparison: Comparison) -> Iterator[Row]:
         matches = paired(*(changes(side.of(number), told) for side in comparison.sides))
         seen_s = interval_s([one.at_s for one in comparison.real.heard(number)])
         yield from timed_rows(comparison, kind, matches, min(seen_s, _SLOWEST_S))
+    for number, fields in _EXCHANGES.items():
+        shown = _fields(*fields, "mission_type")
+        said = ([(t, shown(m)) for t, m in side.of(number)] for side in comparison.sides)
+        yield from timed_rows(comparison, "exchange", paired(*said))
 
 
 # --- streams: which messages, how many, from when, how long silent, and how filled ----------------

@@ -1,0 +1,732 @@
+"""What ardupilot.md and px4.md say of the real autopilots, and is so here; and the law `ideal`.
+
+Missions are in test_firmwares.py, tracking in test_tracking.py, how setpoints are read in
+test_setpoints.py, recorded flights in conformance/.  PX4's conditions: SIH_KDV 0.25 and
+COM_OBL_RC_ACT 5 unless stated.  Tolerances are what the document gives as a range; otherwise twice
+the noise of the estimate, 10 % of speeds, and as stated.
+"""
+
+import cmath
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from operator import attrgetter, methodcaller
+from typing import Any
+
+import pytest
+from harness import (
+    COPTER_HOME,
+    GCS,
+    NAN,
+    PLANE_HOME,
+    ZERO,
+    Rig,
+    Vector,
+    circling,
+    copied,
+    cruising,
+    heartbeat,
+    hover,
+    hovering,
+    item,
+    setpoint,
+)
+from pymavlink.dialects.v20 import all as mavlink
+
+from vehicle_sim.autopilot.earth import FlatEarth
+from vehicle_sim.autopilot.guards import Fence
+from vehicle_sim.autopilot.values import Landed, Place
+from vehicle_sim.plans import PlanItem, PlanKind
+
+ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED = range(5)
+LAND, TAKE_OFF, YAW, SPEED, HOME, PLACE = 21, 22, 115, 178, 179, 192
+AIR_SPEED, COURSE = 43000, 43002
+"""Commands; the last two of a plane in GUIDED."""
+GROUND_M = COPTER_HOME[2]
+NOWHERE = (NAN, NAN, NAN)
+STATION = heartbeat(mavlink.MAV_TYPE_GCS)
+approx = pytest.approx
+
+
+def about(value: Any, within: float) -> Any:
+    return approx(value, abs=within)
+
+
+# --- where flights begin --------------------------------------------------------------------------
+
+low, high = partial(hovering, 5.0), partial(hover, 30.0)
+
+
+def hurrying() -> Rig:
+    """At 15 m/s."""
+    it = hovering(60.0)
+    it.vehicle.velocity_m_s = 15.0 + 0j
+    return it
+
+
+@copied
+def ready(autopilot: str = "ardupilot", kind: Any = "copter") -> Rig:
+    """Armed on the ground, an ArduPilot in GUIDED, a PX4 in Hold."""
+    it = Rig(autopilot, kind).armable()
+    assert autopilot == "px4" or it.set_mode("GUIDED") == ACCEPTED
+    assert it.arm() == ACCEPTED
+    return it.run(4.0)
+
+
+new_plane, new_px4, new_px4_plane = (
+    partial(Rig, *kind) for kind in (("ardupilot", "plane"), ("px4",), ("px4", "plane"))
+)
+rolling, px4_ready = partial(ready, kind="plane"), partial(ready, "px4")
+
+
+@copied
+def climbing() -> Rig:
+    """Taking off to 30 m."""
+    it = ready()
+    it.command(TAKE_OFF, *[0.0] * 6, 30.0)
+    return it.run(5.0)
+
+
+def lost(action: float) -> Rig:
+    """PX4's copter at 5 m/s, whose stream has just ended."""
+    return hover(COM_OBL_RC_ACT=action).stream(7.0, None, (5.0, 0.0, 0.0))
+
+
+def offboard(**told: float) -> Rig:
+    """PX4's plane in OFFBOARD, on its way to a point far north that has been sent for a second."""
+    rig = cruising(**told).stream(1.0, (5000.0, 0.0, -70.0), rate_hz=10.0)
+    assert (rig.set_mode("Offboard"), rig.mode) == (ACCEPTED, "Offboard")
+    return rig
+
+
+slow = partial(offboard, FW_AIRSPD_TRIM=12.0)
+wide, left = (partial(cruising, NAV_LOITER_RAD=radius_m) for radius_m in (150.0, -60.0))
+
+
+def raised_home() -> Rig:
+    """PX4's copter about to be in OFFBOARD: home 5 m above the origin at 488 m, ground at 480 m."""
+    rig = Rig("px4").run(4.0)
+    pilot = rig.autopilot
+    origin = pilot.estimate.origin = pilot.estimate.place.at(488.0)
+    pilot.frame = pilot.firmware.frame(origin)
+    pilot.home, pilot.ground_m = origin.at(493.0), 480.0
+    rig.command(176, 1.0, 6.0)
+    return rig
+
+
+def circle(north_m: float, radius_m: float, command: int = 5004) -> PlanItem:
+    """To keep out of, or by this command in."""
+    return item(COPTER_HOME, command, north_m, 0.0, 0.0, radius_m, frame=0)
+
+
+def polygon(*corners: complex) -> list[PlanItem]:
+    """To stay in: north + east j."""
+    count = float(len(corners))
+    return [item(COPTER_HOME, 5001, at.real, at.imag, 0.0, count, frame=0) for at in corners]
+
+
+def fenced(*items: PlanItem, kinds: float = 4.0, **parameters: float) -> Rig:
+    """An ArduCopter with a fence of polygons and circles."""
+    it = hovering(FENCE_ENABLE=1.0, FENCE_TYPE=kinds, **parameters)
+    it.plan(PlanKind.FENCE, *items)
+    return it
+
+
+excluded = partial(fenced, circle(80.0, 15.0))
+floored = partial(fenced, kinds=8.0, FENCE_ALT_MIN=15.0)
+ringed = partial(circling, FENCE_ENABLE=1.0, FENCE_TYPE=2.0, FENCE_RADIUS=400.0)
+
+
+def px4_fenced(action: float = 3.0, **parameters: float) -> Rig:
+    """PX4's copter with an exclusion of 20 m, 60 m to the north; by this action it returns."""
+    rig = hover(GF_ACTION=action, **parameters)
+    rig.send(STATION, source=GCS)
+    rig.simulation.plans[PlanKind.FENCE] = (item(rig.home, 5004, 60.0, 0.0, 0.0, 20.0, frame=6),)
+    return rig
+
+
+ringed_px4 = partial(px4_fenced, GF_MAX_HOR_DIST=20.0)
+roofed_px4 = partial(px4_fenced, GF_MAX_VER_DIST=20.0)
+
+
+@copied
+def streaming() -> Rig:
+    it = hovering()
+    it.streamed = setpoint((0.0, 0.0, -30.0), ZERO)
+    return it
+
+
+@copied
+def px4_streaming() -> Rig:
+    it = hover(40.0, seed=1)
+    it.streamed = setpoint((0.0, 0.0, -40.0))
+    return it
+
+
+is_ready, plane_is_ready = (lambda: Rig().armable()), (lambda: new_plane().armable())
+
+# --- what they are told, and what is looked at then -----------------------------------------------
+
+Order, Look = Callable[[Rig], object], Callable[[Rig], Any]
+mode, command, aim, stream, reposition, fault, run = (
+    partial(methodcaller, name)
+    for name in ("set_mode", "command", "aim", "stream", "reposition", "fault", "run")
+)
+"""Orders to a Rig, of these names."""
+arm = methodcaller("arm")
+height, climb, speed, velocity, place = map(
+    attrgetter,
+    ("height_m", "vehicle.velocity_up_m_s", "speed_m_s", "vehicle.velocity_neu_m_s", "ned_m"),
+)
+airspeed, mode_of = attrgetter("vehicle.airspeed_m_s"), attrgetter("mode")
+mode_height, mode_roll = attrgetter("mode", "height_m"), attrgetter("mode", "vehicle.roll_rad")
+
+
+def mode_sinks(it: Rig) -> tuple[str, float]:
+    """And how fast it believes to sink, in 3 s."""
+    mode, down_m = it.mode, it.ned_m[2]
+    return mode, (it.run(3.0).ned_m[2] - down_m) / 3.0
+
+
+def heading_deg(it: Rig) -> float:
+    return math.degrees(it.vehicle.heading_rad)
+
+
+def echo(it: Rig) -> Any:
+    """Where it says that it is told to go: north, east, down."""
+    return it.autopilot.target_echo().position
+
+
+def seconds_to(reached: Callable[[Rig], bool]) -> Look:
+    """How long it takes until this is so."""
+    return lambda it: it.until(lambda: reached(it), 60.0)
+
+
+def aims_m(height_m: float, frame: int) -> Order:
+    """At where the origin is."""
+    return lambda it: it.aim((*it.autopilot.home[:2], height_m), frame=frame, is_global=True)
+
+
+def target_down_m(it: Rig) -> Any:
+    return it.autopilot.target.position[2]
+
+
+def tells(what: str) -> Look:
+    """How often it told of a fence, in texts that begin so."""
+    return lambda it: sum(text.startswith(what) and "ence" in text for text in it.texts())
+
+
+def returns_at_m(it: Rig) -> float:
+    """How far from home it is when it turns back."""
+    it.until(lambda: it.mode == "RTL")
+    return math.hypot(*it.ne_m)
+
+
+def north_m(it: Rig) -> Any:
+    """Of home, truly."""
+    return it.simulation.contact.local_m[0]
+
+
+def off_m(it: Rig) -> float:
+    """How far it is from where it believes to be."""
+    return math.dist(it.ne_m, it.simulation.contact.local_m)
+
+
+def goes_down(it: Rig) -> bool:
+    return it.status.landed_state == Landed.LANDING  # type: ignore[no-any-return]
+
+
+def goes_eastwards(it: Rig) -> bool:
+    return off_east_rad(it) < 0.25 * math.pi
+
+
+def descends(it: Rig) -> bool:
+    return it.mode == "Descend"
+
+
+def highest_m(it: Rig) -> float:
+    """In half a minute."""
+    heights = list[float]()
+    it.run(30.0, lambda: heights.append(it.height_m))
+    return max(heights)
+
+
+def circle_m(it: Rig) -> float:
+    """Mean distance from home in 15 s; negative if counter-clockwise."""
+    places = list[complex]()
+    it.run(15.0, lambda: places.append(complex(*it.ne_m)))
+    return math.copysign(sum(map(abs, places)) / len(places), (places[100] / places[0]).imag)
+
+
+def off_circle_m(it: Rig, north_m: float = 0.0, east_m: float = 0.0, radius_m: float = 80.0) -> Any:
+    """How far it leaves a circle about a place in half a minute, at most."""
+    off_m = list[float]()
+    it.run(30.0, lambda: off_m.append(abs(math.dist(it.ne_m, (north_m, east_m)) - radius_m)))
+    return max(off_m)
+
+
+def off_east_rad(it: Rig) -> float:
+    return abs(cmath.phase(it.vehicle.velocity_m_s / 1j))
+
+
+AHEAD: Vector = (300.0, 0.0, -30.0)
+THERE = (PLANE_HOME[0] + 0.003, PLANE_HOME[1], 90.0)
+NORTH_EAST = (aim((20, 10, -30)), run(14))
+"""Where it points then, and a way ahead and to the right of it in that frame."""
+TURNED = complex(20, 10) + complex(12, 4) * cmath.rect(1.0, math.atan2(10, 20))
+ASIDE = (TURNED.real, TURNED.imag, -33.0)
+SCALE_M = 0.011131884502145034e7
+"""Of a degree on ArduPilot's flat earth: its Location.cpp."""
+GLOBAL = (0.5 * SCALE_M, 0.6 * SCALE_M * math.cos(math.radians(47.25)), -40.0)
+PUSHES = stream(3.0, None, None, (1, 0, 0))
+TURNS = (command(YAW, 120, 0, 1, 0), run(5))
+EASTWARDS = (reposition(3e3, 0, 80), run(30), command(COURSE, 0, 90, 3.0))
+TURN_S = 0.25 * math.pi * 23.45 / (0.745 * 3.0)
+"""For 45 deg, at the bank of 3 m/s2 and what the airframe makes of it: 0.745 * 3 m/s2 sideways."""
+HIGHER = command(PLACE, -1, 1, 0, *NOWHERE, 508.0, frame=5)
+MOVED_HOME = command(HOME, 0, 0, 0, 0, 47.001, 8.0, GROUND_M + 20.0, frame=0)
+ABOVE_HOME = aim((47, 8, 30), frame=6, is_global=True)
+STOPS, GLIDES, LEVEL = (aim(None, ZERO), run(1)), (mode("FBWA"), run(9)), about(0, 0.01)
+SLOWLY = command(SPEED, 1, 2.0, -1.0)
+TAKES_OFF = command(TAKE_OFF, 0, 0, 0, NAN, *NOWHERE)
+GOES_TO_500_M = command(TAKE_OFF, 0, 0, 0, *NOWHERE, 500.0, frame=0)
+
+Rows = list[tuple[Callable[[], Rig], Sequence[Order], float, Look, Any]]
+"""Where it begins, what it is told, how many seconds it flies on, what is looked at and seen."""
+COPTER: Rows = [
+    # 2: a take-off goes up as measured, and a setpoint ends it
+    (climbing, [], 0, height, about(5.7, 1.0)),
+    (climbing, [], 0, seconds_to(lambda it: it.height_m > 29.7), about(12.0, 1.5)),
+    (climbing, [aim((20, 0, -5))], 15, place, about((20, 0, -5), 0.5)),
+    # LOITER without a pilot sinks; BRAKE stops, and setpoints are ignored
+    (hovering, [mode("LOITER")], 8, climb, about(-2.5, 0.05)),
+    (hurrying, [mode("BRAKE"), aim((5e3, 0, -60), (10, 0, 0))], 9, place, about((15, 0, -60), 3)),
+    # a return goes up to 15 m first, comes home tail first, and takes 1.55 s for either at least
+    (low, [aim((0, 111, -5)), run(30), mode("RTL")], 0, highest_m, about(15, 0.5)),
+    (low, [aim((0, 111, -5)), run(30), mode("RTL")], 3, place, about((0, 111, -10), 3)),
+    (low, [aim((0, 111, -5)), run(30), mode("RTL")], 40, heading_deg, about(90, 6)),
+    (hovering, [mode("RTL")], 0, seconds_to(goes_down), about(1.55 + 1.55 + 5.0, 0.1)),
+    # 3: places are about the origin, from where it is, or turned with it; above home or the sea
+    (hovering, [*NORTH_EAST, aim((12, 4, -3))], 0, echo, about((12, 4, -3), 0.3)),
+    (hovering, [*NORTH_EAST, aim((12, 4, -3), frame=7)], 0, echo, about((32, 14, -33), 0.3)),
+    (hovering, [*NORTH_EAST, aim((12, 4, -3), frame=8)], 0, echo, about(ASIDE, 0.5)),
+    (hovering, [*NORTH_EAST, aim((12, 4, -3), frame=9)], 0, echo, about(ASIDE, 0.5)),
+    (hovering, [aim((47.5, 8.6, 540.0), frame=5, is_global=True)], 0, echo, about(GLOBAL, 1)),
+    (hovering, [aim((47.5, 8.6, 40.0), frame=6, is_global=True)], 0, echo, about(GLOBAL, 1)),
+    (hovering, [MOVED_HOME, aim((5, 0, -30))], 0, echo, about((5, 0, -30), 0.1)),
+    (hovering, [MOVED_HOME, ABOVE_HOME], 0, echo, about((0, 0, -50), 1)),
+    # no jump is refused: at most WPNAV_SPEED and 2.5 m/s up, overshooting by less than a metre
+    (hovering, [aim((200, 0, -30))], 15, speed, about(10.4, 0.4)),
+    (hovering, [aim((200, 0, -30))], 28, place, about((200, 0, -30), 1.2)),
+    (hovering, [aim((0, 0, -50), ZERO, ZERO)], 5, climb, about(2.5, 0.2)),
+    (hovering, [aim((0, 0, -50), ZERO, ZERO)], 11, height, about(50, 1)),
+    # a change of speed limits a place alone, and is forgotten with the submode; up and down
+    (hovering, [aim(AHEAD), command(SPEED, 1, 3)], 9, speed, about(3.06, 0.1)),
+    (hovering, [command(SPEED, 1, 3), stream(8, None, (6, 0, 0))], 0, speed, about(6.0, 0.2)),
+    (hovering, [aim(AHEAD), command(SPEED, 1, 3), *STOPS, aim(AHEAD)], 12, speed, about(10, 0.6)),
+    (hovering, [aim((0, 0, -80)), command(SPEED, 2, 1.0)], 6, climb, about(1.0, 0.1)),
+    (hovering, [aim((0, 0, -10)), command(SPEED, 3, 0.7)], 6, climb, about(-0.7, 0.1)),
+    # an acceleration alone is flown until the time-out
+    (hovering, [PUSHES], 0, speed, about(2.6, 0.4)),
+    (hovering, [PUSHES], 12, speed, about(0.0, 0.1)),
+    # a yaw is turned to, also by so much to the left, and reset by a setpoint that ignores it
+    (hovering, [*TURNS, command(YAW, 50, 0, -1, 1)], 5, heading_deg, about(70, 1)),
+    (hovering, [*TURNS, stream(8, None, (0, 5, 0))], 0, heading_deg, about(90, 3)),
+]
+PLANE: Rows = [
+    # 7: circles are wider than asked, and p4 turns them round
+    (circling, [reposition(0, 0, 80, 40.0, 0.0)], 40, circle_m, about(60, 3)),
+    (circling, [reposition(0, 0, 80, 80.0, 1.0)], 40, circle_m, about(-97, 3)),
+    # speeds are of the air, and forgotten with GUIDED
+    (circling, [command(SPEED, 0, 19)], 30, speed, about(19.9, 0.3)),
+    (circling, [command(AIR_SPEED, 0, 18)], 30, speed, about(18.9, 0.3)),
+    (circling, [command(AIR_SPEED, 0, 25)], 30, speed, about(27.7, 0.3)),
+    (circling, [command(AIR_SPEED, 0, 18), mode("LOITER")], 30, speed, about(23.45, 0.3)),
+    # a course is turned to as hard as asked, and held until there is a new point
+    (circling, EASTWARDS, 0, seconds_to(goes_eastwards), approx(TURN_S, rel=0.15)),
+    (circling, EASTWARDS, 60, off_east_rad, about(0.0, 0.01)),
+    (circling, [*EASTWARDS, reposition(0, 0, 80, 40.0)], 70, circle_m, about(60, 3)),
+    # of setpoints only heights are taken, and increments add up; a place is no take-off
+    (circling, [aim((9, 9, 90.0), frame=6, is_global=True)], 40, height, about(90, 1)),
+    (circling, [aim((0, 0, -1.0), frame=7)] * 5, 30, height, about(85, 1)),
+    (circling, [aim((3e3, 0, -150))], 30, height, about(80, 1)),
+    (circling, [aim((9, 9, 50), frame=7, is_global=True)], 30, height, about(80, 1)),
+    (rolling, [reposition(500, 0, 50)], 10, speed, 0.0),
+    # 5: without GPS it levels its wings, also after a mode that does without
+    (circling, [fault("gps_off")], 20, mode_roll, ("GUIDED", LEVEL)),
+    (circling, [fault("gps_off"), *GLIDES, mode("LOITER")], 20, mode_roll, ("LOITER", LEVEL)),
+    (circling, [fault("gps_off")], 20, height, about(80, 4)),
+]
+PX4: Rows = [
+    # 3: a take-off ends in Hold at its usual height, and leads nowhere down
+    (px4_ready, [TAKES_OFF], 12, mode_height, ("Hold", about(2.5, 0.3))),
+    (high, [GOES_TO_500_M], 20, mode_height, ("Hold", about(30, 1))),
+    # a place is flown to in Hold, nose ahead, and a height alone is one
+    (hover, [reposition(-30, 0, 20), stream(20, None, ZERO)], 0, place, about((-30, 0, -20), 1)),
+    (hover, [reposition(0, -30, 20)], 10, heading_deg, about(-90, 6)),
+    (hover, [reposition(-60, 0, 15), run(3), HIGHER], 12, mode_height, ("Hold", about(20, 1))),
+    # in AUTO modes a change of speed counts, and in OFFBOARD it does not
+    (hover, [mode("Hold"), SLOWLY, reposition(-60, 0, 15)], 8, speed, about(2.0, 0.3)),
+    (high, [SLOWLY, stream(7, None, (3, 1, -1))], 0, velocity, about((3, 1, 1), 0.4)),
+    # 4: ahead of the place by v / MPC_XY_P; axes may be mixed; half a place brakes; limits
+    (hover, [stream(15, (10, 5, -12), (1, 0, 0))], 0, place, about((11.05, 5, -12), 0.8)),
+    (hover, [stream(15, (10, 5, 0), (0, 0, -0.3), mask=0xDDC)], 0, place, about((10, 5, -19.5), 1)),
+    (high, [stream(7, (0, 0, -30), (3, 0, 0), mask=0xDE3)], 0, velocity, about((3, 0, 0), 0.4)),
+    (high, [stream(7, (9, 0, -30), mask=0xDFE)], 0, velocity, about(ZERO, 0.4)),
+    (high, [stream(7, None, (15, 0, 0))], 0, velocity, about((11.9, 0, 0), 0.4)),
+    (high, [stream(7, None, (0, 0, -6))], 0, velocity, about((0, 0, 2.8), 0.4)),
+    (high, [stream(7, None, (0, 0, 6))], 0, velocity, about((0, 0, -1.6), 0.4)),
+    # frames of GLOBAL_INT; above home with the wrong sign of home's height (1, item 6): 493 m
+    (raised_home, [aims_m(498.0, frame=5)], 0, target_down_m, about(-10.0, 0.01)),
+    (raised_home, [aims_m(498.0, frame=6)], 0, target_down_m, about(-493.0, 0.01)),
+    (raised_home, [aims_m(498.0, frame=11)], 0, target_down_m, about(-490.0, 0.01)),
+    # a return climbs no higher than the cone of 45 degrees, to 30 m, and comes home
+    (hover, [stream(20, (20, 0, -15)), mode("Return")], 0, highest_m, about(20, 1)),
+    (hover, [stream(20, (60, 0, -15)), mode("Return")], 0, highest_m, about(30, 1)),
+    (hover, [stream(20, (20, 0, -15)), mode("Return")], 30, lambda it: it.ne_m, about((0, 0), 2)),
+    # 6: what COM_OBL_RC_ACT says when the stream is lost
+    (lambda: lost(0), [], 3, mode_sinks, ("Position", about(0.7, 0.1))),
+    (lambda: lost(1), [], 3, mode_sinks, ("Altitude", about(0.65, 0.15))),
+    (lambda: lost(3), [], 12, mode_height, ("Return", about(30, 1))),
+    (lambda: lost(4), [], 3, mode_sinks, ("Land", about(1.4, 0.14))),
+    (lambda: lost(5), [], 5, attrgetter("mode", "speed_m_s"), ("Hold", about(0, 0.3))),
+    # 8: without a position Hold is a descent
+    (hover, [mode("Hold"), fault("gps_off")], 0, seconds_to(descends), about(5.2, 0.4)),
+    # 10: a plane's speed is FW_AIRSPD_TRIM, here at 550 m, whatever is commanded
+    (slow, [command(SPEED, 0, 20, -1), stream(20, (5e3, 0, -70))], 0, airspeed, about(12.3, 0.1)),
+    # its circles are NAV_LOITER_RAD wide, whatever is asked, and to the left where that is negative
+    (wide, [reposition(0, 0, 70, 200.0)], 60, circle_m, about(150, 0.7)),
+    (left, [reposition(0, 0, 70, 200.0)], 60, circle_m, about(-60, 0.7)),
+]
+ANOTHER = methodcaller("send", STATION, source=(254, 77))
+IS_HEARD = methodcaller("send", STATION, source=GCS)
+IDLES, RTLS = seconds_to(lambda it: not it.armed), seconds_to(lambda it: it.mode == "RTL")
+LANDS = seconds_to(lambda it: it.mode == "Land")
+WEAK = {"BATT_LOW_VOLT": 10.5, "BATT_FS_LOW_ACT": 2}
+BATTERY_LOW = (fault("battery_voltage 10 V"), run(12), mode("GUIDED"))
+watched, watched_plane = partial(hovering, FS_GCS_ENABLE=1), partial(circling, FS_GCS_ENABL=1)
+FAILSAFES: Rows = [
+    # 2, 3: it is armed once its estimator flies
+    *((Rig, [mode("GUIDED")], 30, arm, FAILED), (Rig, [mode("GUIDED")], 42, arm, ACCEPTED)),
+    *((new_plane, [], 20.5, arm, FAILED), (new_plane, [], 23.1, arm, ACCEPTED)),
+    *((new_px4, [], 1, arm, REJECTED), (new_px4, [], 7, arm, ACCEPTED)),
+    *((new_px4_plane, [], 1, arm, REJECTED), (new_px4_plane, [], 7, arm, ACCEPTED)),
+    # and disarmed again if it only idles: DISARM_DELAY, COM_DISARM_PRFLT; planes are not
+    (ready, [], 0, IDLES, about(10.0 - 4.0, 0.6)),
+    (px4_ready, [], 0, IDLES, about(10.5 - 4.0, 0.6)),
+    (rolling, [], 20, attrgetter("armed"), True),
+    # 5, 3: a ground station is missed that was heard, for 4.9 s, for 10 s; whoever else is heard
+    (watched, [IS_HEARD, run(3), ANOTHER], 0, RTLS, about(1.9, 0.2)),
+    (watched_plane, [IS_HEARD, run(3), ANOTHER], 0, RTLS, about(1.9, 0.2)),
+    (partial(hover, NAV_DLL_ACT=3), [mode("Hold"), IS_HEARD], 0, LANDS, about(10.0, 0.3)),
+    (watched, [ANOTHER], 6, mode_of, "GUIDED"),
+    (watched, [IS_HEARD, run(6), IS_HEARD], 1, mode_of, "RTL"),
+    # a low battery is acted on, and whoever commands another mode has it
+    (partial(hovering, **WEAK), [fault("battery_voltage 10 V")], 0, RTLS, about(9.9, 0.5)),
+    (partial(hovering, **WEAK), BATTERY_LOW, 1, mode_of, "GUIDED"),
+    (hover, [mode("Hold"), fault("battery 6.5 %")], 0.6, mode_of, "Return"),
+    (hover, [mode("Hold"), fault("battery 4 %")], 0.6, mode_of, "Land"),
+    (hover, [fault("battery 4 %"), run(1), mode("Hold")], 1, mode_of, "Hold"),
+]
+
+INSIDE = polygon(50.0, 90.0, 90.0 + 40.0j)
+outside = partial(fenced, *INSIDE)
+mode_fence = attrgetter("mode", "status.fence")
+FENCES: Rows = [
+    # ardupilot.md 4: outside of an inclusion the action is a parameter; GUIDED can be had again;
+    # a breach is told and counted once each time that it begins
+    *((outside, [], 1, mode_of, "RTL"), (outside, [], 1, tells("Polygon"), 1)),
+    (partial(fenced, *INSIDE, FENCE_ACTION=0), [], 1, mode_of, "GUIDED"),
+    (partial(fenced, *INSIDE, FENCE_ACTION=2), [], 1, mode_of, "LAND"),
+    (partial(fenced, *INSIDE, FENCE_ACTION=4), [], 1, mode_of, "BRAKE"),
+    (outside, [run(1), mode("GUIDED")], 1, mode_fence, ("GUIDED", (1, 1))),
+    (outside, [run(1), command(207, 0)], 1, mode_fence, ("RTL", (0, 1))),
+    (outside, [run(1), command(207, 0), run(1), command(207, 1)], 1, mode_fence, ("RTL", (1, 2))),
+    # a target in an exclusion is dropped without a word
+    (excluded, [aim((40, 0, -30)), aim((80, 0, -30))], 0, echo, about((40, 0, -30), 0.1)),
+    # a floor comes with the height, is breached from above, and goes with the landing
+    (floored, [stream(11, None, (0, 0, 1.5), rate_hz=100.0)], 0, tells("Min Alt"), 1),
+    (floored, [stream(9, None, (0, 0, 1.5), rate_hz=100.0)], 0, tells("Min Alt"), 0),
+    (floored, [mode("LAND"), run(50), methodcaller("take_off", 12.0)], 0, tells("Min Alt"), 0),
+    # 7: a plane is led back from its circle
+    (ringed, [command(COURSE, 0, 0.0, 3.0)], 0, returns_at_m, about(400, 5)),
+    # px4.md 7: beyond the cylinder about home it does what GF_ACTION says
+    (ringed_px4, [stream(8, None, (3, 0, 0))], 0, tells("Geofence"), 1),
+    (ringed_px4, [stream(8, None, (3, 0, 0))], 0, mode_of, "Return"),
+    (roofed_px4, [stream(8, None, (0, 0, -1.5))], 0, mode_of, "Return"),
+    (px4_fenced, [stream(8, None, (0, 0, -1.5))], 0, mode_of, "Offboard"),
+]
+
+GLITCH, OUTAGE = fault("gps_glitch 50 m north"), fault("for 10 s: gps_off")
+BLIND, SHORTLY = fault("for 30 s: gps_off"), fault("for 4 s: gps_off")
+ARMABLE, flags = attrgetter("simulation.armable"), attrgetter("autopilot.estimate.flags")
+ACCURACY = attrgetter("autopilot.estimate.horizontal_accuracy_m")
+glitch_s = seconds_to(methodcaller("when", "GPS Glitch or Compass error"))
+ESTIMATORS: Rows = [
+    # ardupilot.md 5: a jump of GPS is told of, resisted for ten seconds and then believed
+    (streaming, [GLITCH], 0, glitch_s, about(1.2, 0.25)),
+    (streaming, [GLITCH], 5, flags, 0x833F),
+    (streaming, [GLITCH], 0, seconds_to(lambda it: it.ned_m[0] > 20.0), about(10.3, 0.4)),
+    (streaming, [GLITCH], 23, north_m, about(-50, 1)),
+    (streaming, [GLITCH], 23, lambda it: len(it.when("Glitch cleared")), 1),
+    # an outage between 7 s, "timed out", and 15 s, "stopped aiding", leaves it armable again
+    *((is_ready, [OUTAGE], s, ARMABLE, so) for s, so in ((9.9, False), (15, True))),
+    *((plane_is_ready, [OUTAGE], s, ARMABLE, so) for s, so in ((9.9, False), (15, True))),
+    # px4.md 8: accuracy grows from 0.3 to 1.2 m in 5 s and 29 m in 30 s, and the estimate drifts by
+    # 31 m, with another accelerometer's error by others, and jumps back
+    (px4_streaming, [BLIND], 5, ACCURACY, about(1.2, 0.3)),
+    (px4_streaming, [BLIND], 29.9, ACCURACY, about(29.0, 4.0)),
+    (px4_streaming, [BLIND], 29.9, off_m, about(31.0, 12.0)),
+    (px4_streaming, [BLIND], 34, off_m, about(0.0, 2.0)),
+    # a short loss is not noticed, and a jump believed after reset_timeout_max, 7 s
+    (px4_streaming, [SHORTLY], 8, flags, 0x37F),
+    (px4_streaming, [GLITCH], 6, north_m, about(0, 3)),
+    (px4_streaming, [GLITCH], 21, north_m, about(-50, 3)),
+]
+
+
+@pytest.mark.parametrize(
+    ("begins", "told", "seconds", "look", "seen"),
+    COPTER + PLANE + PX4 + FAILSAFES + FENCES + ESTIMATORS,
+)
+def test_a_statement_of_the_pages_is_so(
+    begins: Callable[[], Rig], told: Sequence[Order], seconds: float, look: Look, seen: Any
+) -> None:
+    it = begins()
+    for order in told:
+        order(it)
+    assert look(it.run(seconds)) == seen
+
+
+# --- what is answered -----------------------------------------------------------------------------
+
+Answers = Sequence[tuple[Order, Any]]
+FRESH: Answers = [  # ArduCopter that has just started: there is no home yet
+    *((command(176, 1, 0), ACCEPTED), (command(176, 0, 4), DENIED), (command(176, 1, 99), FAILED)),
+    *((command(176, 1, NAN), FAILED), (command(176, NAN, 4), DENIED)),
+    *((command(400, 7), UNSUPPORTED), (command(TAKE_OFF, 0, 0, 0, 0, 0, 0, 30), FAILED)),
+    *((command(520, 1), ACCEPTED), (command(410), FAILED), (command(HOME, 1), FAILED)),
+    *((command(207, 1), ACCEPTED), (command(207, 7), FAILED), (command(224, NAN), FAILED)),
+    (command(20), ACCEPTED),  # a mode change, which is not checked while disarmed
+    *((command(300), FAILED), (command(SPEED, 1, 0), FAILED), (command(31000), UNSUPPORTED)),
+    *((command(PLACE), UNSUPPORTED), (command(246, 0), UNSUPPORTED), (command(246, 1), ACCEPTED)),
+]
+READY: Answers = [
+    *((command(TAKE_OFF, *[0] * 6, up_m), FAILED) for up_m in (NAN, math.inf, 0, -5)),
+    *((command(TAKE_OFF, *[0] * 6, 30, frame=frame), DENIED) for frame in (0, 5, 6)),
+    (command(TAKE_OFF, *[0] * 6, 30, frame=3), ACCEPTED),
+]
+HOVERING: Answers = [
+    (command(HOME, 0, 0, 0, 0, NAN, 8.0, 0, frame=0), FAILED),
+    (command(TAKE_OFF, *[0] * 6, 60), FAILED),
+]
+CIRCLING: Answers = [  # ArduPlane in GUIDED
+    (command(PLACE, -1, 1, 0, 0, *THERE), UNSUPPORTED),  # no COMMAND_INT
+    *((command(PLACE, 5, 0, 0, 0, *THERE, frame=f), ACCEPTED) for f in (0, 3, 5, 6, 10, 11)),
+    (command(PLACE, 5, 0, 0, 0, *THERE, frame=1), DENIED),
+    *(
+        (command(PLACE, -1, 1, 0, 0, *nowhere, frame=3), DENIED)
+        for nowhere in ((95, 0, 90), (0, 190, 90), (0, 0, 90), (*THERE[:2], NAN))
+    ),
+    (lambda it: it.texts()[-1][:4], "SIM:"),  # what the real one does not survive
+    *((command(AIR_SPEED, *to), DENIED) for to in ((1, 20), (0, 9), (0, 31), (0, NAN))),
+    *((command(COURSE, *to, 3), DENIED) for to in ((0, 360), (3, 90), (0, NAN))),
+    *((mode(of_quadplanes), FAILED) for of_quadplanes in (17, 19, 21)),
+    (mode("LOITER"), ACCEPTED),
+    *((command(number, 0, 20, 3), FAILED) for number in (AIR_SPEED, SPEED, COURSE)),
+    (command(PLACE, -1, 0, 0, 0, *THERE, frame=3), FAILED),
+    (command(PLACE, -1, 1, 0, 0, *THERE, frame=3), ACCEPTED),
+    (mode_of, "GUIDED"),
+]
+PX4_READY: Answers = [
+    (command(HOME), REJECTED),  # 0, 0 is no place
+    *((command(HOME, 0, 0, 0, 0, 47.4, 8.55, up_m, frame=0), REJECTED) for up_m in (NAN, 3.4e38)),
+    (command(HOME, 0, 0, 0, 0, 47.4, 8.55, 500, frame=0), ACCEPTED),
+    (attrgetter("autopilot.home.altitude_amsl_m"), 500.0),
+    *((command(246, 1), REJECTED), (command(400, 0), ACCEPTED), (command(246, 1), ACCEPTED)),
+]
+
+last_text = lambda it: it.texts()[-1]  # noqa: E731
+UNARMABLE: Answers = [
+    *((mode("RTL"), ACCEPTED), (arm, FAILED), (last_text, "Arm: RTL mode not armable")),
+    *((mode("LAND"), ACCEPTED), (arm, FAILED), (last_text, "Arm: LAND mode not armable")),
+    *((mode("BRAKE"), ACCEPTED), (arm, FAILED), (last_text, "Arm: BRAKE mode not armable")),
+    *((methodcaller("plan", PlanKind.FENCE, circle(0.0, 50.0)), None), (mode("GUIDED"), ACCEPTED)),
+    *((arm, FAILED), (last_text, "Arm: Vehicle breaching Polygon")),
+    *((command(207, 0), ACCEPTED), (arm, ACCEPTED)),  # the fence is off
+]
+
+
+@pytest.mark.parametrize(
+    ("begins", "answers"),
+    [
+        *((Rig, FRESH), (ready, READY), (hovering, HOVERING), (circling, CIRCLING)),
+        *((rolling, [(command(TAKE_OFF, *[0] * 6, 30), FAILED)]), (px4_ready, PX4_READY)),
+        (lambda: Rig("px4").run(1.0), [(command(400, 1, 21196), ACCEPTED)]),  # by force
+        (lambda: Rig(FENCE_ENABLE=1.0, FENCE_TYPE=4.0).armable(), UNARMABLE),
+        (ringed, [(reposition(900, 0, 80), DENIED)]),
+        (px4_fenced, [(reposition(60, 0, 15), DENIED)]),
+    ],
+)
+def test_every_command_is_answered_as_on_the_real_one(
+    begins: Callable[[], Rig], answers: Answers
+) -> None:
+    it = begins()
+    for k, (order, answer) in enumerate(answers):
+        assert order(it) == answer, k
+
+
+# --- what takes more than a row -------------------------------------------------------------------
+
+EARTH = FlatEarth(Place(*COPTER_HOME))
+STAR = polygon(*(cmath.rect(20.0, 0.8 * math.pi * k) for k in range(5)))
+"""It crosses itself: its middle is a hole."""
+TWO_CIRCLES = (circle(0.0, 10.0, 5003), circle(50.0, 10.0, 5003))
+ONE_CIRCLE = (circle(100.0, 10.0),)
+
+
+@pytest.mark.parametrize(
+    ("kinds", "items", "options", "place", "found"),
+    [
+        *((1, ONE_CIRCLE, 0, (0.0, 0.0, 99.0), 0), (1, ONE_CIRCLE, 0, (0.0, 0.0, 101.0), 1)),
+        *((2, ONE_CIRCLE, 0, (149.0, 0.0, 0.0), 0), (2, ONE_CIRCLE, 0, (151.0, 0.0, 0.0), 2)),
+        (7, ONE_CIRCLE, 0, (151.0, 0.0, 101.0), 3),
+        *((4, ONE_CIRCLE, 0, (100.0, 0.0, 0.0), 4), (4, ONE_CIRCLE, 0, (110.5, 0.0, 0.0), 0)),
+        # of two inclusions it stays in both, or by an option in either
+        *((4, TWO_CIRCLES, 0, (50.0, 0.0, 9.0), 4), (4, TWO_CIRCLES, 2, (50.0, 0.0, 9.0), 0)),
+        *((4, TWO_CIRCLES, 2, (25.0, 0.0, 9.0), 4), (4, STAR, 0, (0.0, 0.0, 9.0), 4)),
+        *((4, STAR, 0, (14.0, 0.0, 9.0), 0), (4, STAR, 0, (0.0, 19.0, 9.0), 4)),
+    ],
+)
+def test_each_kind_of_fence_is_where_its_parameters_say(
+    kinds: int, items: Sequence[PlanItem], options: int, place: Vector, found: int
+) -> None:
+    it = Rig(FENCE_ENABLE=1.0, FENCE_TYPE=float(kinds), FENCE_OPTIONS=float(options))
+    it.simulation.plans[PlanKind.FENCE] = tuple(items)
+    fence = Fence(it.autopilot.parameters, it.autopilot.plans)
+    there = EARTH.place(place[0], place[1], -place[2])
+    assert fence.outside(there, Place(*COPTER_HOME), EARTH) == found
+
+
+def test_a_breach_holds_until_another_command() -> None:
+    rig, stream = px4_fenced(2.0), (None, (4.0, 0.0, 0.0))
+    rig.until(lambda: rig.stream(0.05, *stream).ned_m[0] > 40.0)
+    for seconds in (1.0, 8.0):
+        assert rig.stream(seconds, *stream).mode == "Hold"
+        assert tells("Geofence")(rig) == 1
+    inside_m = rig.ned_m[0] - 40.0
+    assert inside_m == approx(5.0, abs=1.5)
+    assert rig.set_mode("Offboard") == ACCEPTED
+    rig.stream(3.0, None, (8.0, 0.0, 0.0))
+    assert 8.0 < rig.ned_m[0] - 40.0 - inside_m < 24.0
+
+
+def test_a_take_off_is_over_a_second_after_it_has_come_up() -> None:
+    it = climbing()
+    it.until(lambda: it.height_m > 29.7)
+    assert it.status.landed_state == Landed.TAKEOFF
+    assert it.until(lambda: it.status.landed_state != Landed.TAKEOFF) == about(1.0, 0.5)
+
+
+def test_ideal_follows_a_turn_of_9_m_s2_at_150_m_s_without_overshoot() -> None:
+    """A circle of 2.5 km, told ten times a second."""
+    able = {"speed_max_m_s": 170.0, "acceleration_max_m_s2": 10.0}
+    able |= {"speed_vertical_max_m_s": 25.0, "acceleration_vertical_max_m_s2": 5.0}
+    it, speed_m_s, radius_m, off_m = Rig("ideal", **able).take_off(1000.0), 150.0, 2500.0, []
+    it.vehicle.velocity_m_s = speed_m_s + 0j
+    for k in range(4000):
+        way = cmath.rect(1.0, speed_m_s * k * 0.01 / radius_m)  # north + east j
+        at_m, moves = -radius_m * 1j * (way - 1.0), speed_m_s * way
+        if k % 10 == 0:
+            it.aim((at_m.real, at_m.imag, -1000.0), (moves.real, moves.imag, 0.0))
+        it.step()
+        off_m.append(abs(complex(*it.ne_m) - at_m))
+    assert 5.0 < max(off_m[2000:]) <= 15.0
+    assert abs(it.vehicle.acceleration_m_s2) == approx(9.0, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("modes", "armable"),
+    [
+        (("Takeoff", "Hold", "Return", "Land"), True),
+        (("Offboard", "Position", "Altitude", "Mission"), False),  # no stream, pilot, mission
+    ],
+)
+def test_disarmed_a_px4_has_every_mode_and_can_be_armed_in_some(
+    modes: Sequence[str], *, armable: bool
+) -> None:
+    for named in modes:
+        rig = px4_ready()
+        rig.command(400, 0)
+        assert (rig.set_mode(named), rig.mode) == (ACCEPTED, named)
+        status = rig.run(0.2).status
+        assert (status.system_status, status.prearm_ok) == (3 if armable else 0, armable)
+        assert rig.arm() == (ACCEPTED if armable else REJECTED)
+    for flags in (0.0, NAN):  # no custom mode
+        assert rig.command(176, flags, 6.0) == ACCEPTED
+        rig.step()
+        assert rig.last("COMMAND_ACK").result == REJECTED
+
+
+def test_offboard_takes_a_setpoint_and_what_came_before_it_is_a_sign_of_life_only() -> None:
+    rig = px4_ready()
+    rig.aim((0.0, 0.0, -15.0))  # in the same moment, as MAVSDK 4 sends them: it checks at once
+    assert (rig.set_mode("Offboard"), rig.mode) == (ACCEPTED, "Offboard")
+    rig = hover()
+    rig.set_mode("Hold")
+    assert rig.run(3.0).set_mode("Offboard") == REJECTED  # without a stream
+    rig.aim((300.0, 0.0, -12.0))
+    assert rig.run(0.2).set_mode("Offboard") == ACCEPTED
+    assert (rig.run(0.6).mode, rig.autopilot.target) == ("Offboard", None)
+    assert rig.speed_m_s < 0.6
+
+
+def test_a_lost_stream_is_acted_on_after_1_1_s_and_taken_up_when_it_is_back() -> None:
+    rig = lost(5.0)
+    rig.aim(None, (5.0, 0.0, 0.0))
+    rig.step()
+    assert 0.01 + rig.until(lambda: rig.mode != "Offboard", 3.0) == about(1.1, 0.1)
+    status = rig.status
+    assert (status.intended_mode, status.system_status) == (6 << 16, 5)  # OFFBOARD, CRITICAL
+    assert rig.stream(0.3, None, (5.0, 0.0, 0.0)).mode == "Offboard"
+
+
+def test_a_plane_without_a_position_to_go_to_keeps_its_last_commands() -> None:
+    rig, banks_rad = offboard(), list[float]()
+    rig.stream(1.0, (0.0, 5000.0, -70.0), rate_hz=10.0)
+    for k in range(100):
+        rig.aim((0.0, 0.0, -70.0), (14.0, 0.0, 0.0), (0.1, 0.1, 0.0), mask=(0xDC7, 0xC3F)[k % 2])
+        banks_rad.append(rig.run(0.1).vehicle.roll_rad)
+    assert banks_rad[10:] == about([banks_rad[10]] * 90, 0.03)
+    assert banks_rad[10] > 0.5
+    assert mode_height(rig) == ("Offboard", about(68.0, 3.0))
+
+
+def test_a_plane_without_gps_flies_a_bank_then_descends() -> None:
+    rig = offboard(NAV_GPSF_LT=10.0)
+    rig.fault("gps_off")
+    seen = [mode_height(rig.stream(1.0, (5e3, 0.0, -70.0), rate_hz=10.0)) for _ in range(30)]
+    assert (seen[3][0], seen[-1][0]) == ("Offboard", "Descend")
+    assert math.degrees(rig.vehicle.roll_rad) == about(15.0, 0.5)
+    assert seen[12][1] == about(seen[6][1], 1.0)
+    assert (seen[20][1] - seen[28][1]) / 8.0 == about(0.5, 0.05)
+
+
+def test_a_planes_landing_circles_down_where_it_was_commanded_and_disarms() -> None:
+    rig = offboard()
+    there_m = rig.ne_m
+    assert rig.command(LAND, 0.0, 0.0, 0.0, NAN, *rig.place(900.0, 0.0, 0.0), frame=5) == 0
+    assert goes_down(rig.run(30.0))
+    assert (climb(rig), rig.speed_m_s) == (about(-0.87, 0.02), about(10.8, 0.2))
+    assert off_circle_m(rig, *there_m) < 0.6
+    rig.until(lambda: rig.landed)
+    assert rig.until(lambda: not rig.armed) == about(2.0, 0.1)
+    assert mode_height(rig) == ("Offboard", 0.0)  # the one last commanded for flight
+
+
+def test_a_planes_return_circles_over_home_at_its_height() -> None:
+    rig = cruising(600.0, -200.0, RTL_RETURN_ALT=90.0, RTL_DESCEND_ALT=60.0)
+    assert rig.command(20) == 0
+    assert rig.run(45.0).height_m > 80.0
+    assert off_circle_m(rig.run(60.0)) < 0.6
+    assert mode_height(rig) == ("Return", about(60.0 - 2.2, 1.0))
