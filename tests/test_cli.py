@@ -155,7 +155,7 @@ def test_the_service_starts_again_what_may_go_on_and_nothing_that_was_decided() 
     assert not decided & {FlightInterrupted.exit_code, CRASHED}
     assert "Restart=on-failure" in text
     assert "StartLimitIntervalSec=0" in text  # a vehicle in the air is not given up for trying
-    page = (ROOT / "docs" / "connecting.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "in-flight.md").read_text(encoding="utf-8")
     for code in (0, *decided, FlightInterrupted.exit_code, CRASHED):
         assert f"| {code} |" in page
 

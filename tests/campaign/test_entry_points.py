@@ -70,12 +70,12 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patched:
         patched.syspath_prepend(str(target))
         importlib.invalidate_caches()
-        entry_points._found.cache_clear()
+        entry_points._points_of.cache_clear()
         yield
         for registry, before in zip((OPTIMISERS, PLANNERS), known, strict=True):
             for name in set(registry.data) - before:
                 del registry[name]
-    entry_points._found.cache_clear()
+    entry_points._points_of.cache_clear()
 
 
 def mission_with(folder: Path, optimiser: str) -> str:

@@ -88,7 +88,7 @@ def flight(
     names = ("t_s", "t_s", "north_m", "east_m", "altitude_amsl_m")
     told = np.array([[row[name] for name in names] for row in truth])
     told[:, -1] += told_off_m
-    return Flight(mission=MISSION, journal=journal, truth=truth, plans_s=[], told=told)
+    return Flight(mission=MISSION, journal=journal, truth=truth, plans_s=[], reported=told)
 
 
 def noting(flown: Flight, *entries: dict[str, Any]) -> Flight:

@@ -25,7 +25,7 @@ SWING_RAD: Final = 2.404825557695773
 
 def _page(name: str) -> str:
     """Of docs/reference, whose tables are read from it."""
-    return (Path(__file__).parents[2] / f"docs/reference/{name}.md").read_text("utf-8")
+    return (Path(__file__).parents[2] / f"docs/lab/{name}.md").read_text("utf-8")
 
 
 class Sine:
