@@ -5,7 +5,7 @@ import json
 import threading
 import time
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -160,6 +160,19 @@ def test_real_time_keeps_the_pace_whatever_the_companion_does(
 
 
 # --- as a process: several vehicles, several links ------------------------------------------------
+
+
+def test_with_a_port_step_each_vehicle_has_its_own_ports(start: Start) -> None:
+    with ExitStack() as stack:
+        for _ in range(100):  # until there are two free ports in a row
+            one = stack.enter_context(udp_client())
+            with suppress(OSError):
+                two = stack.enter_context(udp_client(one.port + 1))
+                break
+        start("--count", 2, "--port-step", 1, "--connect", one.endpoint)
+        for client, system in ((one, 1), (two, 2)):
+            beats = [client.wait_for(lambda m: m.get_type() == "HEARTBEAT") for _ in range(3)]
+            assert {beat.get_srcSystem() for beat in beats} == {system}
 
 
 def test_clients_on_shared_links_hear_each_other_once_through_the_vehicles(
