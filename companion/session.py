@@ -335,10 +335,8 @@ class Session:
             counts = self._takes_time(heard)
         self._out.record.append((self.clock.now_s, heard.frame))
         if component == COMPANION_COMPONENT:  # another process with our ids may have sent it
-            duplicate = self._outbox.duplicates.heard(
-                heard.frame, self.selector.system_id, self.now_s
-            )
-            self._handle(duplicate)
+            twin = self._outbox.duplicates.heard(heard.frame, self.selector.system_id, self.now_s)
+            self._handle(twin)
         if counts and number in COMMANDS:
             self._serve(heard)
         if counts and is_ours:
@@ -658,17 +656,15 @@ class Session:
             if self._end is not None and not ends:
                 return  # it was refused, and that has ended the mission: the rest counts no more
         if ends:
-            last_asked = tuple(
-                command for command in commands if isinstance(command, SetMode | Disarm)
-            )
-            self._last_asked = last_asked  # nothing from before counts any more
+            asked = tuple(each for each in commands if isinstance(each, SetMode | Disarm))
+            self._last_asked = asked  # nothing from before counts any more
             self._broke_off_landing = before.phase is Phase.LANDING
-            self._status = None if last_asked else self._status
+            self._status = None if asked else self._status
             assert self._end is not None
             held = any(
-                isinstance(command, SetMode) and command.mode is Mode.HOLD for command in last_asked
+                isinstance(command, SetMode) and command.mode is Mode.HOLD for command in asked
             )
-            text, messages = self._texts.end(self._end, held=held, disarmed=Disarm() in last_asked)
+            text, messages = self._texts.end(self._end, held=held, disarmed=Disarm() in asked)
             arrived = self._end.outcome is events.Outcome.ARRIVED
             self._note({"kind": "say", "text": text, "warning": not arrived})
             self._send_all(messages)

@@ -85,7 +85,7 @@ class Page:
         self._time_s, self._speed, self._plays = 0.0, 1.0, False
         self._newest = True  # until somebody goes elsewhere
         self._followers: set[int] = set()
-        self._vehicle_at: FloatArray = np.zeros(3)
+        self._aim: FloatArray = np.zeros(3)
         self._ground_at_s = self._read_at_s = self._charted_at_s = -math.inf
         self._map_shown, self._slid_to_s = -1, 0.0
         self._known: KnownMap | None = None
@@ -169,8 +169,8 @@ class Page:
             heading_rad = flight.heading_rad(flight.row_at(self._time_s))
             ahead = np.array([math.sin(heading_rad), math.cos(heading_rad), 0.0])
             place = (
-                self._vehicle_at - 11.0 * ahead + [0.0, 0.0, 5.5],
-                self._vehicle_at + 4.0 * ahead,
+                self._aim - 11.0 * ahead + [0.0, 0.0, 5.5],
+                self._aim + 4.0 * ahead,
             )
         with client.atomic():
             client.camera.position, client.camera.look_at = place
@@ -236,11 +236,11 @@ class Page:
         return f"the ground is read until {clock_text(reached_s)}" if is_behind else ""
 
     def _show(self, scene: Scene, behind: str) -> None:
-        recording, before = self._recording, self._vehicle_at
-        self._vehicle_at = scene.show(self._time_s)
+        recording, before = self._recording, self._aim
+        self._aim = scene.show(self._time_s)
         for client in self._server.get_clients().values():
             if client.client_id in self._followers:
-                client.camera.position = client.camera.position + (self._vehicle_at - before)
+                client.camera.position = client.camera.position + (self._aim - before)
         known = None if behind else self._known
         drawn = panel.status_html(recording, known, self._time_s, behind, scene.area.stretch)
         self._status.content = drawn

@@ -284,13 +284,10 @@ class AutopilotClient:
             case events.Disarm():  # without force: in the air it refuses
                 return [command_long(self.system_id, arms, 0.0)]
             case events.TakeOff():
-                position, heading_rad = (
-                    state.vehicle.position_nea_m,
-                    state.vehicle.heading_rad or 0.0,
-                )
+                position, heading_rad = state.vehicle.position_nea_m, state.vehicle.heading_rad
                 if position is None:
                     return []
-                return autopilot.take_off(command, position, heading_rad, self.to)
+                return autopilot.take_off(command, position, heading_rad or 0.0, self.to)
 
     @property
     def due_s(self) -> float:
@@ -319,11 +316,11 @@ class AutopilotClient:
         """New events since the last call."""
         if not (self.streams.begun and self.is_news):
             return []
-        new_events = [*self._checked_parameters(now_s), *self._read_plans(now_s)]
+        fresh = [*self._checked_parameters(now_s), *self._read_plans(now_s)]
         if self._mission.fence_from_vehicle and self._plans_told:
-            new_events += self.own_fence.reading(now_s)
+            fresh += self.own_fence.reading(now_s)
         self.is_news = self.own_fence.is_drawing  # some of a fence with each message
-        return new_events
+        return fresh
 
     def _checked_parameters(self, now_s: float) -> list[events.Event]:
         client = self.parameters
@@ -334,9 +331,8 @@ class AutopilotClient:
         self.findings = findings_of(self.autopilot.rules, client.values, self._mission, home)
         if self._sets_parameters and self._set(self.findings):
             return []  # they are judged again once they are read back
-        refused = [
-            finding for finding in self.findings if finding.set_to is None or self._sets_parameters
-        ]
+        sets = self._sets_parameters
+        refused = [finding for finding in self.findings if finding.set_to is None or sets]
         refusal = self._in_words(refused[0]) if refused else ""
         again, self._refusal_told = refusal == self._refusal_told != "", refusal
         prepared = events.Prepared(time_s=now_s, item=events.Item.PARAMETERS, refusal=refusal)
@@ -372,14 +368,14 @@ class AutopilotClient:
         plans, mission, own = self.plans, self._mission, self.own_fence
         if not plans.is_done or not self.parameters.is_done:
             return []
-        new_events, refusal = list[events.Event](), ""
+        fresh, refusal = list[events.Event](), ""
         if mission.fence_from_vehicle:
             values, home, place_ne_m = self.parameters.values, self._home_nea_m, self.here_ne_m
             news = own.update(values, home, place_ne_m, now_s)
             if news is None:
                 return []
             changed, refusal = news
-            new_events += changed
+            fresh += changed
         plan = plans.plans[MISSION]
         if mission.targets_from_vehicle and plan.version != self._targets_version:
             self._targets_version = plan.version
@@ -389,13 +385,11 @@ class AutopilotClient:
             if route.end_action not in (None, mission.end_action):
                 words = f"its mission ends with {route.end_action.value}"
                 self.notes.append(f"{words}; what counts is end.action: {mission.end_action.value}")
-            new_events.append(events.TargetsChanged(time_s=now_s, targets_ne_m=route.targets_ne_m))
+            fresh.append(events.TargetsChanged(time_s=now_s, targets_ne_m=route.targets_ne_m))
         if refusal or not self._plans_told:
             self._plans_told = True
-            new_events.append(
-                events.Prepared(time_s=now_s, item=events.Item.PLANS, refusal=refusal)
-            )
-        return new_events
+            fresh.append(events.Prepared(time_s=now_s, item=events.Item.PLANS, refusal=refusal))
+        return fresh
 
 
 def _moved(one: events.Vector | None, other: events.Vector) -> bool:

@@ -241,7 +241,7 @@ def _on_plan(state: State, stage: phases.Flying, event: events.PlanReady, turn: 
         if isinstance(outcome, NotPlanned):
             flight.refusal, flight.broken = outcome.refusal, outcome.broken
             if outcome.refusal is not was and outcome.place_ne_m is not None:  # proven, and news
-                north, east = (coordinate_m / 1000.0 for coordinate_m in outcome.place_ne_m)
+                north, east = (metres / 1000.0 for metres in outcome.place_ne_m)
                 turn.warn(f"no way: closed {north:.1f} km N, {east:.1f} km E of origin")
             is_led = stage.path is not None and not turn.context.shadow
             if is_led and outcome.refusal is Refusal.BETTER_TO_TURN:
@@ -389,17 +389,16 @@ def shadow(state: State, stage: phases.Flying, event: Event, turn: Turn) -> None
 def _watch(state: State, stage: phases.Flying, event: Position, turn: Turn) -> None:
     """Follow the vehicle along the leg that was planned, or plan one from where it is."""
     flight, position, path = state.flight, event.position_nea_m, stage.path
-    tracking_error_m = state.task.limits.tracking_error_m
-    if math.dist(position[:2], state.targets_ne_m[flight.target]) < max(
-        _ARRIVED_M, tracking_error_m
-    ):
+    error_m = state.task.limits.tracking_error_m
+    target = state.targets_ne_m[flight.target]
+    if math.dist(position[:2], target) < max(_ARRIVED_M, error_m):
         come_to_rest(state)
         if flight.target + 1 < len(state.targets_ne_m):
             flight.target += 1
             turn.say("shadow: target reached")
     elif path is not None:
         off_m, at_m = following.nearest(path.leg, position)
-        if off_m > 3.0 * tracking_error_m:
+        if off_m > 3.0 * error_m:
             turn.say(f"shadow: the vehicle is {off_m:.0f} m off the path")
             come_to_rest(state)
         else:

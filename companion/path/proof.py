@@ -174,13 +174,10 @@ def first_pieces(cubics: FloatArray) -> FloatArray:
     per_span = (_PIECES + spans - 1) // spans
     table, flown = np.zeros((spans * per_span, 5)), 0.0
     for k in range(spans * per_span):
-        table[k, 0], table[k, 1], table[k, 2] = (
-            k // per_span,
-            k % per_span / per_span,
-            (k % per_span + 1) / per_span,
-        )
+        span, piece = k // per_span, k % per_span
+        table[k, 0], table[k, 1], table[k, 2] = span, piece / per_span, (piece + 1) / per_span
         table[k, 3] = flown
-        flown += piece_of(cubics, k // per_span, float(table[k, 1]), float(table[k, 2])).length
+        flown += piece_of(cubics, span, float(table[k, 1]), float(table[k, 2])).length
     table[:-1, 4] = flown - table[1:, 3]
     return table
 

@@ -53,8 +53,8 @@ def same_log(
         remedy = "Give the run folder, or --mission, or --shadow for another's flight."
         raise InputError("RUN_DIR|LOG", str(path), rule, remedy)
     _load_planner()
-    flown, own_version = load_mission(mission, profile), version("companion")
-    replay, log = replay_of_log(path, flown, seed=seed, version=own_version, system_id=system)
+    flown, own = load_mission(mission, profile), version("companion")
+    replay, log = replay_of_log(path, flown, seed=seed, version=own, system_id=system)
     _compare(replay, path, json_file, lambda: log.findings)
 
 
@@ -84,10 +84,8 @@ def _compare(
         rule = f"what was recorded is damaged ({replayed.damaged})"
         raise InputError("RUN_DIR", str(flight), rule, "Give a copy of it that is whole.")
     if not replayed.is_identical:
-        flew, own_version = replayed.flown_by, version("companion")
-        remedy = (
-            f"Companion {flew} flew, and this is {own_version}: another one may decide otherwise."
-        )
+        flew, own = replayed.flown_by, version("companion")
+        remedy = f"Companion {flew} flew, and this is {own}: another one may decide otherwise."
         raise FlightFailed("the replay did not decide as the flight did", remedy if flew else "")
 
 

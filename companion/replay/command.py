@@ -90,14 +90,11 @@ def replay_command(
 
 def _refuse_others(context: typer.Context, way: str) -> None:
     """No option is passed over silently."""
-    for parameter in context.command.params:
-        source, option = (
-            context.get_parameter_source(parameter.name or ""),
-            max(parameter.opts, key=len),
-        )
+    for known in context.command.params:
+        source, option = context.get_parameter_source(known.name or ""), max(known.opts, key=len)
         given = source is not None and source.name == "COMMANDLINE"
-        if given and parameter.param_type_name == "option" and option not in _TAKES[way]:
-            value, takes = context.params[parameter.name or ""], ", ".join(_TAKES[way])
+        if given and known.param_type_name == "option" and option not in _TAKES[way]:
+            value, takes = context.params[known.name or ""], ", ".join(_TAKES[way])
             shown = value if type(value) is bool else str(value)
             raise InputError(
                 option, shown, f"{way} does not take it", f"Leave it out. It takes {takes}."

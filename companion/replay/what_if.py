@@ -123,23 +123,19 @@ def what_if_table(plans: Sequence[WhatIf]) -> RenderableType:
     for heading in ("plan", "at", "cost", "clearance", "length", "time"):
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("terms that differ")
-    for replanned in plans:
-        pairs = zip(replanned.flown.cells(), replanned.now.cells(), strict=True)
+    for one in plans:
+        pairs = zip(one.flown.cells(), one.now.cells(), strict=True)
         cells = (was if was == now else f"{was} -> {now}" for was, now in pairs)
         terms = []
-        for name in dict.fromkeys((*replanned.flown.terms, *replanned.now.terms)):
-            was, now = (
-                f"{side.terms.get(name, 0.0):.2f}" for side in (replanned.flown, replanned.now)
-            )
+        for name in dict.fromkeys((*one.flown.terms, *one.now.terms)):
+            was, now = (f"{side.terms.get(name, 0.0):.2f}" for side in (one.flown, one.now))
             terms += [f"{name} {was} -> {now}"] if was != now else []
-        table.add_row(f"{replanned.plan_id}", f"{replanned.t_s:,.0f} s", *cells, ", ".join(terms))
-    both = [
-        replanned for replanned in plans if None not in (replanned.flown.cost, replanned.now.cost)
-    ]
+        table.add_row(f"{one.plan_id}", f"{one.t_s:,.0f} s", *cells, ", ".join(terms))
+    both = [one for one in plans if None not in (one.flown.cost, one.now.cost)]
     return Group(
         table,
-        Text(f"{len(both)} subpaths as flown: {_sums([replanned.flown for replanned in both])}"),
-        Text(f"now: {_sums([replanned.now for replanned in both])}"),
+        Text(f"{len(both)} subpaths as flown: {_sums([one.flown for one in both])}"),
+        Text(f"now: {_sums([one.now for one in both])}"),
     )
 
 

@@ -423,15 +423,9 @@ def mission_of(model: MissionTable, profile: str | None, notes: tuple[str, ...] 
     for number, target in enumerate(targets):
         places.append(target.place(frame, _field(number, target)))
         rules.refuse(rules.of_target(task, places[-1], _field(number, target)))
-    tables = (
-        model.vehicle,
-        model.end,
-        model.fallback,
-        model.battery,
-        model.link,
-        model.from_vehicle,
-    )
-    as_written = {key: value for table in tables for key, value in table.of(Mission).items()}
+    tables = "vehicle", "end", "fallback", "battery", "link", "from_vehicle"
+    written = (getattr(model, name).of(Mission) for name in tables)
+    as_written = {key: value for values in written for key, value in values.items()}
     if not model.scans_ground:
         as_written["scanner_component_id"] = None
     stated = ""

@@ -118,12 +118,8 @@ class FlightFacts:
         plans = (e for e in entries if isinstance(e, noted.PlanReady | noted.PlanRefused))
         self.out_of_time = sum(plan.out_of_time for plan in plans)
         """How many plans were cut by time, found or not."""
-        recorded_s = self.run.get("planning_s")
-        took_s = (
-            [t for t in recorded_s if isinstance(t, int | float)]
-            if isinstance(recorded_s, list)
-            else []
-        )
+        times = self.run.get("planning_s")
+        took_s = [t for t in times if isinstance(t, int | float)] if isinstance(times, list) else []
         self.planning_s = (statistics.median(took_s), max(took_s)) if took_s else None
         """How long plans took, median and longest, wall time; None: that was not recorded."""
 

@@ -21,21 +21,12 @@ FIRMWARES = tuple(dict.fromkeys(autopilot.firmware for autopilot in ALL))
 def autopilot_of(heartbeat: Message) -> Autopilot | None:
     """The strategy for the sender of this; None: not supported (VTOL, rover, ...)."""
     wanted = heartbeat.autopilot, KINDS.get(heartbeat.type)
-    ways = (
-        autopilot
-        for autopilot in ALL
-        if (autopilot.firmware.number, autopilot.traits.kind) == wanted
-    )
-    return next(ways, None)
+    return next((way for way in ALL if (way.firmware.number, way.traits.kind) == wanted), None)
 
 
 def named(firmware: str, kind: str) -> Autopilot:
     """The strategy for a mission's `autopilot` and `kind`."""
-    return next(
-        autopilot
-        for autopilot in ALL
-        if (autopilot.firmware.name, autopilot.traits.kind) == (firmware, kind)
-    )
+    return next(way for way in ALL if (way.firmware.name, way.traits.kind) == (firmware, kind))
 
 
 def described(heartbeat: Message) -> str:
@@ -44,6 +35,4 @@ def described(heartbeat: Message) -> str:
     if autopilot is not None:
         return autopilot.name
     both = {"MAV_AUTOPILOT": heartbeat.autopilot, "MAV_TYPE": heartbeat.type}
-    return ", ".join(
-        enum_word(*entry).lower() or f"{entry[0]} {entry[1]}" for entry in both.items()
-    )
+    return ", ".join(enum_word(e, n).lower() or f"{e} {n}" for e, n in both.items())
