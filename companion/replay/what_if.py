@@ -57,7 +57,7 @@ class Figures(Struct, frozen=True):
 
 @final
 class WhatIf(Struct, frozen=True, kw_only=True):
-    """A subpath as recorded, and with the changed settings."""
+    """A subpath as flown, and with the changed settings."""
 
     plan_id: int
     t_s: float
@@ -118,7 +118,7 @@ def with_changes(task: Task, before: Task, after: Task) -> Task:
 
 
 def what_if_table(plans: Sequence[WhatIf]) -> RenderableType:
-    """Table of subpaths, as recorded -> with the changed settings; below, both sums."""
+    """Table of subpaths, as flown -> with the changed settings; below, both sums."""
     table = Table()
     for heading in ("plan", "at", "cost", "clearance", "length", "time"):
         table.add_column(heading, justify="right", no_wrap=True)
@@ -138,7 +138,7 @@ def what_if_table(plans: Sequence[WhatIf]) -> RenderableType:
     ]
     return Group(
         table,
-        Text(f"{len(both)} subpaths as recorded, whole: {_sums([replanned.flown for replanned in both])}"),
+        Text(f"whole subpaths ({len(both)}), before: {_sums([replanned.flown for replanned in both])}"),
         Text(f"now: {_sums([replanned.now for replanned in both])}"),
     )
 
