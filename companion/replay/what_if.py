@@ -138,7 +138,7 @@ def what_if_table(plans: Sequence[WhatIf]) -> RenderableType:
     ]
     return Group(
         table,
-        Text(f"whole subpaths ({len(both)}), before: {_sums([replanned.flown for replanned in both])}"),
+        Text(f"{len(both)} whole subpaths, then: {_sums([replanned.flown for replanned in both])}"),
         Text(f"now: {_sums([replanned.now for replanned in both])}"),
     )
 
