@@ -499,8 +499,7 @@ class Session:
     def _takes_time(self, heard: Incoming) -> bool:
         """Take the time that a message of the autopilot tells, if any.
 
-        False: it is doubted, or says no more than one just before: then nothing that it tells
-        counts.
+        False: nothing that it tells counts, as it is doubted or repeats one just before.
         """
         number, message = heard.number, heard.message
         if number == _POSITION or number == wire.MAVLINK_MSG_ID_SYSTEM_TIME:

@@ -218,8 +218,7 @@ class Leg:
 
         What is too near already may be left: a stop would be on the same path.  It must lead away,
         to where the distance is kept, within as much of the path.  Looked at every half cell: what
-        lies between two points is nearer by less than a thirtieth of a cell if required_m is a cell
-        or more.
+        lies between two points is nearer by less than 1/30 cell if required_m is a cell or more.
         """
         length_m = self.subpath.length_m
         steps = max(round(2.0 * (length_m - from_m) / near.lattice.cell_m), 1)

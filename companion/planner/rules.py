@@ -67,11 +67,11 @@ def slowed_to_sight(task: Task) -> Task:
     """The task at the highest speed, V or less, at which eq. 4 leaves a copter enough of R.
 
     It turns as tightly as its lateral acceleration lets it there.  A task that needs less than half
-    of V, or that names its L, stays as it is, and so does a plane's: `of_task` has its rule.
+    of V, turns too tightly or names its L stays as it is, and so does a plane's: see `of_task`.
     """
     limits, settings = task.limits, task.settings
     may = limits.hovers and settings.profile.verified and settings.scan_distance_m is None
-    if not may or _sees_enough(task):
+    if not may or _sees_enough(task) or _of_turn(limits, "turn_radius_m")[0]:
         return task
     least, most = (share * limits.speed_m_s / _STEP_M_S for share in (_LEAST_OF_SPEED, 1.0))
     steps = range(math.floor(most), math.ceil(least) - 1, -1)
@@ -99,7 +99,7 @@ def of_task(task: Task) -> Iterator[Broken]:
     (south, north), (west, east) = limits.north_m, limits.east_m
     floor, ceiling, turn_m = limits.floor_amsl_m, limits.ceiling_amsl_m, limits.turn_radius_m
     asked_m, least_m = settings.scan_distance_m, task.shortest_scan_distance_m
-    sight_m, period_s = _MOST_OF_SIGHT * end_m, settings.position_period_s
+    sight_m, period_s = max(0.0, _MOST_OF_SIGHT * end_m), settings.position_period_s
     scan_s = 0.0 if settings.is_near else _SCAN_REQUESTS * period_s  # there is no TERRAIN_REQUEST
     room_m = task.zone_search_clearance_m + task.envelope.lead_m + 2.0 * turn_m
     ground_m = -math.inf if task.stated_ground_amsl_m is None else task.stated_ground_amsl_m

@@ -134,7 +134,7 @@ def what_if_table(plans: Sequence[WhatIf]) -> RenderableType:
     both = [one for one in plans if None not in (one.flown.cost, one.now.cost)]
     return Group(
         table,
-        Text(f"{len(both)} subpaths as flown: {_sums([one.flown for one in both])}"),
+        Text(f"{len(both)} whole subpaths, then: {_sums([one.flown for one in both])}"),
         Text(f"now: {_sums([one.now for one in both])}"),
     )
 

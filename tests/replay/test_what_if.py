@@ -49,7 +49,7 @@ def test_the_command_tabulates_and_writes_what_is_proven_by_another_distance(
     code, shown, _ = answered("replay", FLIGHT, "--set", setting, "--json", report)
     rows = json.loads(report.read_text(encoding="utf-8"))
     assert code == 0
-    assert "subpaths as flown: cost" in shown
+    assert "2 whole subpaths, then: cost" in shown
     assert f"{rows[0]['flown']['cost']:.2f}" in shown
     assert [row["plan_id"] for row in rows] == [1, 2]
     assert any(row["now"] != row["flown"] for row in rows)
