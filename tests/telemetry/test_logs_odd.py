@@ -5,6 +5,7 @@ import math
 import os
 import random
 import struct
+import tracemalloc
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -247,6 +248,17 @@ def test_a_ulg_tells_its_texts_in_parts_and_counts_what_was_not_written(tmp_path
 DAY_US, DATE_US = 86_400 * 1_000_000, 1_710_773_350_346_000
 
 
+def test_damage_of_a_ulg_costs_what_comes_before_a_mark(tmp_path: Path) -> None:
+    """PX4 writes one each half second; a wrong length costs as many bytes, 64 kB at most."""
+    mark, content = message(b"S", b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"), ulg() + text(b"before")
+    for k, damage in enumerate((text(b"one")[:-2], b"noise that is no message", bytes(99))):
+        content += damage + (mark + text(b"after %d" % k)) * 4000
+    log = opened(tmp_path, content)
+    texts = {m.text for m in of(told(log), "STATUSTEXT")}
+    assert {"before", "after 0", "after 1", "after 2"} <= texts
+    assert counts(log)[Odd.CORRUPT] == 1
+
+
 @pytest.mark.parametrize("by_us", [DATE_US, 100 * DAY_US])
 def test_a_clock_of_px4_may_be_a_date(tmp_path: Path, by_us: int) -> None:
     """As in its simulation with Gazebo; one that is up for months is none."""
@@ -331,3 +343,14 @@ def test_a_log_that_is_gone_or_cut_while_it_is_read_ends_there(tmp_path: Path) -
     log.path.unlink()
     assert list(log.records()) == []
     assert log.odd[Odd.UNREADABLE] == 1
+
+
+def test_memory_does_not_grow_with_a_tlog(tmp_path: Path) -> None:
+    long = frame(wire.MAVLink_file_transfer_protocol_message(0, 1, 1, [7] * 251))
+    log = opened(tmp_path, beats(0) + records(long, 0) * 40_000)  # 11 MB
+    tracemalloc.start()
+    try:
+        assert sum(1 for _ in log.records()) == 40_001
+        assert tracemalloc.get_traced_memory()[1] < 7_000_000
+    finally:
+        tracemalloc.stop()
