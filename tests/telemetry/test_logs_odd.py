@@ -248,17 +248,6 @@ def test_a_ulg_tells_its_texts_in_parts_and_counts_what_was_not_written(tmp_path
 DAY_US, DATE_US = 86_400 * 1_000_000, 1_710_773_350_346_000
 
 
-def test_damage_of_a_ulg_costs_what_comes_before_a_mark(tmp_path: Path) -> None:
-    """PX4 writes one each half second; a wrong length costs as many bytes, 64 kB at most."""
-    mark, content = message(b"S", b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"), ulg() + text(b"before")
-    for k, damage in enumerate((text(b"one")[:-2], b"noise that is no message", bytes(99))):
-        content += damage + (mark + text(b"after %d" % k)) * 4000
-    log = opened(tmp_path, content)
-    texts = {m.text for m in of(told(log), "STATUSTEXT")}
-    assert {"before", "after 0", "after 1", "after 2"} <= texts
-    assert counts(log)[Odd.CORRUPT] == 1
-
-
 @pytest.mark.parametrize("by_us", [DATE_US, 100 * DAY_US])
 def test_a_clock_of_px4_may_be_a_date(tmp_path: Path, by_us: int) -> None:
     """As in its simulation with Gazebo; one that is up for months is none."""
