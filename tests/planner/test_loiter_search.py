@@ -140,17 +140,3 @@ def test_among_fifty_zones_of_a_hundred_corners_it_looks_at_no_more_than_it_can(
     monkeypatch.setattr(loiter_search, "gaps_m", counted)
     sent_to(flat(), heading(90.0, 100.0), *polygons(np.random.default_rng(3), 50, 100))
     assert 0 < sum(looked_at) < 20_000
-
-
-@pytest.mark.parametrize("course_deg", [150, 180, 195])
-def test_out_of_a_zone_it_is_led_by_a_turn_and_does_not_come_back(course_deg: int) -> None:
-    """Deep inside, with the nose outwards, it is out within a half turn and the depth."""
-    zone, circler = disc(120.0), heading(course_deg, -60.0)
-    point = sent_to(flat(), circler, zone)
-    assert point is not None
-    assert gap_m((zone,), *point[:2]) - LOITER_M >= REQUIRED_M
-    gaps = np.array(flown_m((zone,), circler, point, TURN_M))
-    near = np.flatnonzero(gaps < TASK.settings.safety_distance_m)
-    depth_m = TASK.settings.safety_distance_m + 60.0
-    assert (near[-1] + 1) * STEP_S <= (math.pi * TURN_M + depth_m) / V
-    assert (np.diff(near) == 1).all()  # once out, it stays out
