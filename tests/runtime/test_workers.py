@@ -304,8 +304,9 @@ def test_a_disk_that_blocks_delays_no_stream(rig: Rig, monkeypatch: pytest.Monke
     rig.assert_no_gap()
 
 
-def test_of_a_slow_disk_so_much_waits_and_all_of_that_is_recorded(
-    folder: RunFolder, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("fails", ["", "No space left on device"])
+def test_of_a_slow_disk_so_much_waits_and_all_of_that_is_recorded_unless_it_fails(
+    folder: RunFolder, monkeypatch: pytest.MonkeyPatch, fails: str
 ) -> None:
     monkeypatch.setattr(recorder, "_MOST_WAITING", 100_000)
     released, write = threading.Event(), folder.frames
@@ -313,6 +314,7 @@ def test_of_a_slow_disk_so_much_waits_and_all_of_that_is_recorded(
     def frames(stamped: list[tuple[float, bytes]]) -> None:
         released.wait()
         write(stamped)
+        folder.failure = fails or folder.failure
 
     monkeypatch.setattr(folder, "frames", frames)
     told = list[Failure]()
@@ -324,6 +326,6 @@ def test_of_a_slow_disk_so_much_waits_and_all_of_that_is_recorded(
     writer.put(Output(record=[(1000.0, bytes(1000))], checkpoint={"number": 1000}))
     writer.close()
     assert not writer._thread.is_alive()
-    assert (folder.path / "flight.tlog").stat().st_size == 101 * 1008
-    assert folder.failure == "the disk is too slow"
-    assert [failure.error for failure in told] == ["the disk is too slow"]
+    assert (folder.path / "flight.tlog").stat().st_size == (1 if fails else 101) * 1008
+    assert folder.failure == (fails or "the disk is too slow")
+    assert [failure.error for failure in told] == [folder.failure]
