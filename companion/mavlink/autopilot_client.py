@@ -284,12 +284,10 @@ class AutopilotClient:
             case events.Disarm():  # without force: in the air it refuses
                 return [command_long(self.system_id, arms, 0.0)]
             case events.TakeOff():
-                position, heading_rad = (
-                    state.vehicle.position_nea_m,
-                    state.vehicle.heading_rad or 0.0,
-                )
+                position = state.vehicle.position_nea_m
                 if position is None:
                     return []
+                heading_rad = state.vehicle.heading_rad or 0.0
                 return autopilot.take_off(command, position, heading_rad, self.to)
 
     @property

@@ -228,10 +228,8 @@ def vehicle_at_m(state: State, path: OnPath) -> float:
     if vehicle.position_nea_m is None:
         return at_m
     pose = path.leg.subpath.pose(at_m)
-    position = np.asarray(vehicle.position_nea_m)
-    position = position + (state.now_s - vehicle.position_at_s) * np.asarray(
-        vehicle.velocity_nea_m_s
-    )
+    velocity, age_s = np.asarray(vehicle.velocity_nea_m_s), state.now_s - vehicle.position_at_s
+    position = np.asarray(vehicle.position_nea_m) + age_s * velocity
     behind_m = float((pose.position_nea_m - position) @ pose.tangent_nea)
     return max(at_m - max(behind_m, 0.0), 0.0)
 

@@ -400,12 +400,8 @@ def _end(state: State, stage: phases.Stopped, turn: Turn) -> None:
 
 def say_reached(state: State, turn: Turn) -> None:
     """Text at a target; for a plane that missed it by too much, with the distance."""
-    position, target, limits = (
-        state.vehicle.position_nea_m,
-        state.flight.hover_nea_m,
-        state.task.limits,
-    )
-    off_m = 0.0
+    position, target = state.vehicle.position_nea_m, state.flight.hover_nea_m
+    limits, off_m = state.task.limits, 0.0
     if not state.vehicle.traits.hovers and position is not None and target is not None:
         off_m = math.dist(position[:2], target[:2])
     if off_m > limits.tracking_error_m:

@@ -314,7 +314,7 @@ def test_of_a_slow_disk_so_much_waits_and_all_of_that_is_recorded_unless_it_fail
     def frames(stamped: list[tuple[float, bytes]]) -> None:
         released.wait()
         write(stamped)
-        folder.failure = fails or folder.failure
+        folder.failure = (stamped and fails) or folder.failure
 
     monkeypatch.setattr(folder, "frames", frames)
     told = list[Failure]()
