@@ -180,10 +180,10 @@ def mission_states_page() -> str:
         for before in trigger.origins
     ]
     lines += ["    done --> [*]", "    faulted --> [*]", "```", ""]
-    for moved_on_by in Trigger:  # drawn, they would hide the rest
-        if moved_on_by not in rare:
-            names = ", ".join(before.value for before in moved_on_by.origins)
-            leads = f"`{moved_on_by.name.lower()}` leads from {names} to {moved_on_by.after.value}"
+    for trigger in Trigger:  # drawn, they would hide the rest
+        if trigger not in rare:
+            names = ", ".join(before.value for before in trigger.origins)
+            leads = f"`{trigger.name.lower()}` leads from {names} to {trigger.after.value}"
             lines.append(f"Not drawn: {leads}.")
     lines += ["", "## Triggers", "", "| trigger | when |", "|---|---|"]
     lines += [f"| `{trigger.name.lower()}` | {trigger.when} |" for trigger in Trigger]

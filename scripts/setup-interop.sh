@@ -1,4 +1,5 @@
-# Sourced by scripts/test: other people's programs, pinned, by one pip; each has its environment, for two exclude each other.
+# Sourced by scripts/test: other people's programs, pinned, by one pip; each has an environment
+# of its own, for two exclude each other.
 # usage: . scripts/setup-interop.sh [--all]    (what nightly tests alone need, too)
 cd "$(dirname "${BASH_SOURCE[0]}")/.." || exit 1
 interop=${INTEROP_VENVS:-.venv-interop}

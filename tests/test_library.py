@@ -176,3 +176,14 @@ def test_what_is_not_understood_or_breaks_a_rule_of_mission_files_is_named(
     with pytest.raises(InputError) as refused:
         fly(**{"world": page["heights"], "mission": task} | WHERE | changes)
     assert refused.value.field == field
+
+
+def test_the_same_arguments_fly_the_same_flight_and_another_seed_another(
+    page: dict[str, Any],
+) -> None:
+    """As far as the first leg goes; the limit of legs is told."""
+    keywords = WHERE | {"most_legs": 1}
+    one, same, other = (fly(page["heights"], page["task"], seed=s, **keywords) for s in (1, 1, 2))
+    assert one.points_nea_m.tobytes() == same.points_nea_m.tobytes()
+    assert one.points_nea_m.tobytes() != other.points_nea_m.tobytes()
+    assert one.why.startswith("TOO_MANY_LEGS: ")

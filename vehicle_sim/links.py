@@ -67,11 +67,11 @@ class Link:
 
     def __init__(self, endpoint: Endpoint) -> None:
         self._endpoint = endpoint
-        address = socket.getaddrinfo(endpoint.host, endpoint.port, type=self._type)[0]
-        self._socket = socket.socket(*address[:3])
+        resolved = socket.getaddrinfo(endpoint.host, endpoint.port, type=self._type)[0]
+        self._socket = socket.socket(*resolved[:3])
         self._socket.setblocking(False)
         try:
-            self._attach(address[4])
+            self._attach(resolved[4])
         except OSError:
             self._socket.close()
             raise

@@ -101,8 +101,8 @@ def report_of(campaign: Campaign, by: Sequence[str] = ()) -> Report:
             notes.append(f"{factor} has {count} values; a table by it: --by {factor}.")
     figures = groups(rows, ())
     tables = [_of_groups(figures)]
-    for chosen_by in chosen:
-        of_groups, (of_pairs, pair_notes) = groups(rows, chosen_by), pairs(rows, chosen_by)
+    for factors in chosen:
+        of_groups, (of_pairs, pair_notes) = groups(rows, factors), pairs(rows, factors)
         figures += [*of_groups, *of_pairs]
         tables.append(_of_groups(of_groups))
         if of_pairs or pair_notes:

@@ -130,6 +130,6 @@ class WriterThread:
             self._recorder.put(out)
             self._written_bytes += out.size
             out = self._outputs.get()
-            if self._written_bytes >= self._last_bytes:
+            if self._written_bytes >= self._last_bytes and self._recorder.folder.failure is None:
                 self._recorder.folder.failure = "the disk is too slow"
         self._recorder.close()

@@ -93,10 +93,10 @@ class Blocks:
         self.mean_m[blocks] = total / np.maximum(count, 1.0)
         self.seen[blocks] = count >= 0.5 * size * size
 
-    def continued(self, block: tuple[int, int]) -> Continued | None:
+    def continued(self, cell: tuple[int, int]) -> Continued | None:
         """How the terrain goes on, seen from a cell; None: nothing was seen, or all."""
         size, reach = self.size, round(_REACH * _BLOCKS_PER_RANGE)
-        row, column = (at // size for at in block)
+        row, column = (at // size for at in cell)
         rows, columns = (
             slice(max(at - reach, 0), min(max(at + reach, 0), count))
             for at, count in zip((row, column), self.seen.shape, strict=True)

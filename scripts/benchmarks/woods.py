@@ -70,7 +70,7 @@ class AStar:
         )
 
     def aim(self, place: complex) -> complex:
-        """Where to fly straight to; here if there is no way."""
+        """Where to fly straight to; the place itself if there is no way."""
         lattice = self.lattice
         corner = complex(lattice.north_min_m, lattice.east_min_m)
         ends = np.array([place, self._target]) - corner

@@ -250,3 +250,11 @@ def test_a_folder_of_something_else_and_a_busy_one_are_refused(tmp_path: Path) -
     (tmp_path / "runs.json").write_text('{"digest": "a', encoding="utf-8")
     with pytest.raises(InputError, match="another campaign"):
         store("a")
+
+
+def test_a_run_that_raises_is_a_row(tmp_path: Path) -> None:
+    [run, *_] = runs(tmp_path, FLOWN.replace("[factors]", '[factors]\nvehicle = ["px4-plane"]'))
+    row = fly_run(run, tmp_path)
+    assert row["outcome"] == "error"
+    assert row["error"]
+    assert "\n" not in row["error"]

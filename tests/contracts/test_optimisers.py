@@ -131,3 +131,22 @@ def test_seeds_come_first_clipped_then_random_points(count: int, size: int, seed
     assert members[:first].tolist() == np.clip(known[:first], 0.0, 1.0).tolist()
     assert members[first:].tolist() == alone[first:].tolist()
     assert members.shape == (size, 3)
+
+
+def test_members_are_ranked_by_cost_equals_in_their_order_and_nan_as_infinite() -> None:
+    """Else the same seed may find another plan on another computer."""
+
+    class Scripted:
+        population = np.array([[0.3], [0.1], [0.4], [0.2], [0.5]])
+        costs = np.full(5, np.nan)
+
+        def ask(self) -> FloatArray:
+            return self.population
+
+        def tell(self, costs: FloatArray) -> None:
+            self.costs = costs
+
+    costs = {0.3: 5.0, 0.1: 1.0, 0.2: 1.0, 0.4: np.nan, 0.5: -np.inf}
+    ranked = minimise(Scripted(), lambda x: np.array([costs[v] for v in x[:, 0]]), 5)
+    assert ranked.costs.tolist() == [-np.inf, 1.0, 1.0, 5.0, np.inf]
+    assert ranked.x[:, 0].tolist() == [0.5, 0.1, 0.2, 0.3, 0.4]

@@ -107,6 +107,16 @@ def test_the_reference_waits_for_a_vehicle_that_falls_behind_and_goes_on_when_it
     assert Phase.HOLDING not in craft.phases
 
 
+def test_a_position_that_was_overtaken_or_comes_twice_changes_nothing() -> None:
+    craft = flying()
+    was = position(craft.now_s, craft.here, craft.velocity)
+    craft.tick()
+    before = craft.state
+    for event in (was, position(craft.now_s, craft.here, craft.velocity)):
+        assert craft.take(event) == []
+        assert craft.state.vehicle == before.vehicle
+
+
 # --- off its path
 
 Way = tuple[float, float, float]
@@ -292,3 +302,44 @@ def test_it_goes_on_where_the_autopilots_target_has_moved_since_it_was_told(
     if stands:
         assert path.reference.speed_m_s == 0.0
         assert np.linalg.norm(path.offset.velocity_nea_m_s) == 0.0
+
+
+@pytest.mark.parametrize("share", [0.2, 0.8])
+def test_who_is_found_on_either_of_two_legs_rejoins_that_one_and_has_flown_the_other(
+    share: float,
+) -> None:
+    """The next leg turns off to the right from p_prog of this one."""
+    state, path = cruising().state, deep(cruising().state).path
+    over_at_m = path.leg.successor_at_m
+    begins = path.leg.subpath.pose(over_at_m).position_nea_m
+    aside = begins + np.linspace(0.0, LEG_M, 4)[:, None] * np.array(ASIDE)
+    path.next_leg = replace(path.leg, subpath=Subpath(control_nea_m=aside))
+    for leg, at_m in ((path.leg, share * over_at_m), (path.next_leg, share * LEG_M)):
+        at = leg.subpath.pose(at_m).point_nea_m
+        found = told_nothing(state, at, state.vehicle.velocity_nea_m_s)
+        goes_on = joined(found, path)
+        assert goes_on is not None
+        assert goes_on.leg is leg
+        assert goes_on.reference.length_m == pytest.approx(at_m, abs=0.1)
+        flown = [segment.until_m for segment in found.flight.flown[len(state.flight.flown) :]]
+        assert flown == pytest.approx([at_m] if leg is path.leg else [over_at_m, at_m])
+
+
+@PLANES
+@pytest.mark.parametrize("says", [False, True])
+def test_a_plane_found_circling_about_its_path_goes_on_circling_the_same_place(
+    traits: VehicleTraits, says: bool
+) -> None:
+    """As far as its autopilot says what it circles; else the place next to where it is."""
+    state = led(traits).state
+    centre = state.leg.subpath.pose(state.reference.length_m + 40.0)
+    apart = np.add(ASIDE, (0.3, 0.0, 0.0))
+    radius_m = state.task.limits.loiter_radius_m
+    at = centre.position_nea_m + radius_m * apart / np.linalg.norm(apart)
+    echo = events.Echo(time_s=state.now_s, position_nea_m=centre.point_nea_m) if says else None
+    found = told_nothing(state, tuple(at.tolist()), (0.0, 15.0, 0.0), echo)
+    path = joined(found, state.path)
+    assert path is not None
+    assert path.circling
+    off_m = math.dist(found.flight.hover_nea_m, centre.point_nea_m)
+    assert off_m < 0.5 if says else off_m > 5.0

@@ -17,6 +17,7 @@ from made_up import (
     hears,
     moving,
     now,
+    order_of,
     texts,
     told,
 )
@@ -29,10 +30,12 @@ from companion.mission.events import (
     Mode,
     OrderKind,
     Plan,
+    Setpoint,
     StatusText,
     VehicleStatus,
 )
 from companion.mission.phases import Phase, Reason
+from companion.mission.state import Way
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.world.zones import CircleZone
 
@@ -176,3 +179,18 @@ def test_a_fence_that_a_path_leads_out_of_stops_nobody_told_again_or_after_a_res
     for task, rules in ((MISSION.task, before.task), (stricter, stricter.unruled())):
         again = checkpoint.restored(replace(MISSION, task=task), before.flight.known, values)
         assert again.leg.rules == rules
+
+
+def test_a_fence_on_the_way_back_of_a_vehicle_that_is_paused_leaves_it_led() -> None:
+    """In guided mode silence is a lost stream, whatever has become of the way back."""
+    craft = flying()
+    leg = craft.state.leg
+    craft.take(order_of(craft, OrderKind.PAUSE))
+    craft.fly_to(Phase.HOLDING)
+    flight = craft.state.flight
+    assert flight.hover_nea_m is not None
+    craft.state = replace(craft.state, flight=replace(flight, way=Way.BACK, back=(leg,)))
+    craft.take(drawn(craft, AHEAD_NE_M, 500.0))
+    assert craft.state.flight.hover_nea_m == flight.hover_nea_m
+    assert any(isinstance(command, Setpoint) for command in craft.during(2.0))
+    assert craft.state.reason is Reason.PAUSED

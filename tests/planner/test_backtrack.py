@@ -124,3 +124,14 @@ def test_along_straight_parts_with_corners_and_gaps_it_comes_to_no_end_faster_th
             left_m = length_m - reference.length_m
         assert leg.through or reference.speed_m_s < 0.5
         reference = Reference(speed_m_s=reference.speed_m_s if leg.through else 0.0)
+
+
+@pytest.mark.parametrize(("above_m", "parts"), [(0.001, 1), (-0.001, 0), (-0.7, 0)])
+def test_what_begins_below_what_is_asked_above_the_floor_is_not_proven_though_it_was_flown(
+    above_m: float, parts: int
+) -> None:
+    low_m = TASK.limits.floor_amsl_m + TASK.error_m + above_m
+    control = np.linspace((1_000.0, 600.0, low_m), (1_600.0, 600.0, low_m + 20.0), 4)
+    stretch = FlownSegment(control_nea_m=control, from_m=0.0, until_m=600.0)
+    back = backtrack((stretch,), TASK, TRUTH)
+    assert (len(back.subpaths), back.reaches_start) == (parts, bool(parts))

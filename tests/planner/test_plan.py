@@ -12,8 +12,11 @@ from planning import BLANK, TASK, TRUTH, column_distance_m
 from planning import ask as asked
 
 from companion.path.subpath import Pose
+from companion.planner.field import cost_to_go
 from companion.planner.plan import plan
+from companion.planner.price import Prices
 from companion.planner.procedure import hover_pose
+from companion.planner.progress import SLACK, Progress
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal, Rest
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
@@ -215,6 +218,20 @@ def test_it_stops_where_flying_back_from_there_is_shorter_than_the_way_round() -
     going_on = planned(replace(request, rest=None))
     metre = 2.4 * TASK.settings.scan_range_m / (100.0 * TASK.settings.weights.length)
     assert (going_on.cost + going_on.to_go) * metre > 3_500.0
+
+
+def test_a_leg_leads_away_only_if_that_is_news() -> None:
+    """From rest a leg may be chosen though its end is farther off: turned back, it would again."""
+    here, end, target_ne_m = (4_000.0, 4_000.0, 320.0), (4_000.0, 3_500.0, 320.0), (4e3, 7e3)
+    plain = replace(
+        TRUTH, upper_m=np.full_like(TRUTH.upper_m, 100.0), seen=np.ones_like(TRUTH.seen)
+    )
+    prices = Prices(TASK, cost_to_go(plain, TASK, here[:2], target_ne_m))
+    for thought_m, is_news in ((0.0, False), (-2.0 * SLACK * TASK.settings.scan_range_m, True)):
+        progress = Progress(end_m=prices.promised_m(end) + thought_m)
+        told = replace(prices, progress=progress)
+        assert told.leads_away(here, end) is is_news
+        assert not told.leads_away(end, here)  # nearer to the target
 
 
 # --- the search

@@ -37,6 +37,7 @@ class Rig:
         self.options: dict[str, Any] = {"on_progress": lambda _: None, "lockstep": False}
         self.flight = Future[FlightSummary]()
         self.broken_s = math.inf
+        self.thread = threading.Thread(target=self._fly, daemon=True)
         self.released = threading.Event()
         """What has stood still goes on."""
         self._over = threading.Event()
@@ -72,7 +73,7 @@ class Rig:
     @contextmanager
     def flying(self) -> Iterator[None]:
         load_libraries()  # as `fly` would, while what the vehicle says piles up
-        threading.Thread(target=self._fly, daemon=True).start()
+        self.thread.start()
         try:
             self.streams_on(5)
             yield
@@ -182,19 +183,58 @@ def test_once_a_part_has_died_nothing_is_streamed_any_more_and_the_vehicle_is_to
     assert HOLD in (rig.folder.path / "flight.tlog").read_bytes()
 
 
-def test_a_terminal_that_fails_ends_the_flight_as_if_stopped_and_raises(rig: Rig) -> None:
+def terminal_fails(rig: Rig) -> type[Exception]:
     def show(_flown: object) -> None:
         if rig.broken_s < time.monotonic():
             raise BrokenPipeError
 
-    planner, rig.options["on_progress"] = rig.has_planner(), show
+    rig.options["on_progress"] = show
+    return BrokenPipeError
+
+
+def clock_fails(rig: Rig) -> type[Exception]:
+    """In the thread of the watchdog."""
+
+    def clock() -> float:
+        now_s, thread = time.monotonic(), threading.current_thread()
+        if thread is rig.thread and rig.broken_s < now_s:
+            raise MemoryError("made up")
+        return now_s
+
+    rig.options["clock"] = clock
+    return MemoryError
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+@pytest.mark.parametrize("fails", [terminal_fails, clock_fails])
+def test_a_watchdog_that_fails_or_cannot_show_ends_the_flight_as_if_stopped_and_raises(
+    rig: Rig, fails: Callable[[Rig], type[Exception]]
+) -> None:
+    planner, error = rig.has_planner(), fails(rig)
     with rig.flying():
         rig.breaks()
-        assert isinstance(rig.flight.exception(PATIENCE_S), BrokenPipeError)
+        assert isinstance(rig.flight.exception(PATIENCE_S), error)
     assert rig.session.has_left
     assert rig.link.times_of(HOLD) == []
     assert planner.process is not None
     assert not planner.process.is_alive()
+
+
+def test_a_hold_that_does_not_get_out_is_tried_again(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fails, send = [OSError("made up")], rig.link.send
+
+    def sends(frames: list[bytes]) -> None:
+        if HOLD in frames and fails:
+            raise fails.pop()
+        send(frames)
+
+    monkeypatch.setattr(rig.link, "send", sends)
+    rig.at(BREAKS_AT, lambda: rig.breaks(KeyError("made up")))
+    with rig.flying():
+        assert rig.end.outcome is Outcome.FAILED
+    assert len(rig.link.times_of(HOLD)) == 2
 
 
 # --- what is no death
@@ -264,8 +304,9 @@ def test_a_disk_that_blocks_delays_no_stream(rig: Rig, monkeypatch: pytest.Monke
     rig.assert_no_gap()
 
 
-def test_of_a_slow_disk_so_much_waits_and_all_of_that_is_recorded(
-    folder: RunFolder, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("fails", ["", "No space left on device"])
+def test_of_a_slow_disk_so_much_waits_and_all_of_that_is_recorded_unless_it_fails(
+    folder: RunFolder, monkeypatch: pytest.MonkeyPatch, fails: str
 ) -> None:
     monkeypatch.setattr(recorder, "_MOST_WAITING", 100_000)
     released, write = threading.Event(), folder.frames
@@ -273,6 +314,7 @@ def test_of_a_slow_disk_so_much_waits_and_all_of_that_is_recorded(
     def frames(stamped: list[tuple[float, bytes]]) -> None:
         released.wait()
         write(stamped)
+        folder.failure = (stamped and fails) or folder.failure
 
     monkeypatch.setattr(folder, "frames", frames)
     told = list[Failure]()
@@ -284,6 +326,6 @@ def test_of_a_slow_disk_so_much_waits_and_all_of_that_is_recorded(
     writer.put(Output(record=[(1000.0, bytes(1000))], checkpoint={"number": 1000}))
     writer.close()
     assert not writer._thread.is_alive()
-    assert (folder.path / "flight.tlog").stat().st_size == 101 * 1008
-    assert folder.failure == "the disk is too slow"
-    assert [failure.error for failure in told] == ["the disk is too slow"]
+    assert (folder.path / "flight.tlog").stat().st_size == (1 if fails else 101) * 1008
+    assert folder.failure == (fails or "the disk is too slow")
+    assert [failure.error for failure in told] == [folder.failure]

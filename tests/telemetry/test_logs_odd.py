@@ -5,6 +5,7 @@ import math
 import os
 import random
 import struct
+import tracemalloc
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -331,3 +332,14 @@ def test_a_log_that_is_gone_or_cut_while_it_is_read_ends_there(tmp_path: Path) -
     log.path.unlink()
     assert list(log.records()) == []
     assert log.odd[Odd.UNREADABLE] == 1
+
+
+def test_memory_does_not_grow_with_a_tlog(tmp_path: Path) -> None:
+    long = frame(wire.MAVLink_file_transfer_protocol_message(0, 1, 1, [7] * 251))
+    log = opened(tmp_path, beats(0) + records(long, 0) * 40_000)  # 11 MB
+    tracemalloc.start()
+    try:
+        assert sum(1 for _ in log.records()) == 40_001
+        assert tracemalloc.get_traced_memory()[1] < 7_000_000
+    finally:
+        tracemalloc.stop()

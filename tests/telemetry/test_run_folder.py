@@ -3,6 +3,8 @@
 import json
 import math
 import resource
+import struct
+import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,7 @@ from tlog import read_by_pymavlink
 
 from companion.errors import InputError
 from companion.mission.journal import VERSION
+from companion.telemetry.inputs import InputsFile
 from companion.telemetry.run_folder import RunFolder, resume_head, whole_records
 
 EPOCH_US = 1_700_000_000_000_000  # 2023-11-14 22:13:20 UTC
@@ -195,3 +198,32 @@ def test_a_full_disk_leaves_whole_records_and_the_checkpoint_before(
     assert all(journal(folder.path))
     assert resume_head(folder.path).values == {"number": 0}
     assert not {"run.json", ".resume.json.new"} & {each.name for each in folder.path.iterdir()}
+
+
+# --- on a small computer
+
+
+def test_a_log_of_many_hours_is_looked_through_in_little_memory(tmp_path: Path) -> None:
+    """As when resume.json was lost: in flight."""
+    path = tmp_path / "flight.tlog"
+    whole = (struct.pack(">Q", EPOCH_US) + bytes([0xFD, 255]) + bytes(265)) * 20_000  # 5.5 MB
+    path.write_bytes(whole + bytes(8_000_000))  # a hole that a power cut has left
+    tracemalloc.start()
+    try:
+        with again(tmp_path) as folder:
+            assert folder.epoch_us == EPOCH_US
+        assert tracemalloc.get_traced_memory()[1] < 4_000_000
+    finally:
+        tracemalloc.stop()
+    assert path.stat().st_size == len(whole)
+
+
+def test_inputs_that_grow_while_they_are_read_are_no_torn_ones(folder: RunFolder) -> None:
+    """As the live view reads them."""
+    folder.inputs([("stop",)])
+    inputs = InputsFile(folder.path / "inputs.msgpack")
+    reading = iter(inputs)
+    assert next(reading) == ("stop",)
+    folder.inputs([("stop",)])
+    assert list(reading) == [("stop",)]
+    assert inputs.torn_bytes == 0

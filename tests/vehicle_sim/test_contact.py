@@ -4,11 +4,12 @@ import math
 from typing import Any
 
 import pytest
-from harness import COPTER_HOME, KINDS, Rig, placed, setpoint
+from harness import COPTER_HOME, KINDS, Rig, item, placed, setpoint
 
 from vehicle_sim.dynamics.contact import Contact, Crash, is_crash
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.geodesy import LocalFrame
+from vehicle_sim.plans import PlanKind
 from vehicle_sim.scene import Scene
 from vehicle_sim.terrain import PeakTerrain
 
@@ -127,3 +128,25 @@ def test_who_hits_a_thing_however_thin_falls_and_does_not_fly_through(
     truth = flown.truth()
     assert truth[-1]["north_m"] == pytest.approx(at_north_m, abs=0.3)
     assert min(row["near_m"] for row in truth) == simulation.contact.nearest_m == 0.0
+
+
+def test_a_plane_that_rolls_out_on_its_runway_has_not_crashed() -> None:
+    flown = Rig("ardupilot", "plane").armable()
+    legs = ((16,), (22, 0.0, 0.0, 20.0), (16, 250.0, 0.0, 20.0), (21, 500.0))
+    flown.plan(PlanKind.MISSION, *(item(flown.home, *leg) for leg in legs))
+    assert [flown.set_mode("AUTO"), flown.arm()] == [0, 0]
+    flown.until(lambda: flown.height_m > 10.0, 40.0)
+    flown.until(lambda: flown.height_m <= 0.0, 90.0)
+    assert flown.vehicle.velocity_m_s.real > 5.0
+    flown.until(lambda: not flown.armed, 40.0)
+    assert flown.simulation.crash is None
+
+
+def test_who_passes_a_tree_has_the_least_distance_in_the_truth() -> None:
+    tree = TREE | {"east_m": 3.0, "radius_m": 0.5}
+    flown = under_way(5.0, 4.0, "ardupilot", "copter", trees=[tree]).run(9.0)
+    truth = flown.truth()
+    east_m = [row["east_m"] for row in truth if abs(row["north_m"] - 12.0) < 0.5]
+    least_m = min(row["near_m"] for row in truth)
+    assert least_m == pytest.approx(3.0 - 0.5 - sum(east_m) / len(east_m), abs=0.02)
+    assert least_m == pytest.approx(flown.simulation.contact.nearest_m, abs=1e-3)

@@ -107,16 +107,16 @@ class ArduPlane(FixedWing, ArduPilot):
 
     def begin(self) -> None:
         """What was told before is forgotten; without anything new it circles here."""
-        at_place, p, self._asked_m_s, self.leg = self.estimate.place, self.parameters, None, None
+        position, p, self._asked_m_s, self.leg = self.estimate.place, self.parameters, None, None
         self.wanted_climb_m_s = None
         self.route.stop()
-        self.circle(at_place)
-        self.wanted_height_m = at_place.altitude_amsl_m
+        self.circle(position)
+        self.wanted_height_m = position.altitude_amsl_m
         if self.mode.name == "RTL":
             self.route.fly([Leg(Does.GO, self._over_home(), math.inf, RETURN)], self.now_s)
         elif self.mode.name == "TAKEOFF" and self.plane.stands:
             ahead_m = cmath.rect(p["TKOFF_DIST"], self.plane.heading_rad)
-            place = FlatEarth(at_place).place(ahead_m.real, ahead_m.imag, -p["TKOFF_ALT"])
+            place = FlatEarth(position).place(ahead_m.real, ahead_m.imag, -p["TKOFF_ALT"])
             climb = Leg(Does.CLIMB, place.at(place.altitude_amsl_m - _REACHED_M), command=RETURN)
             self.route.fly([climb, Leg(Does.GO, place, math.inf, RETURN)], self.now_s)
             self.circle(place)

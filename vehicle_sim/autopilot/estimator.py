@@ -57,7 +57,7 @@ class Timing:
     stages: tuple[tuple[float, int], ...]
     """Flags from these times since boot on, until there is a position."""
     flags: Mapping[State, int]
-    """From then on, by `told`."""
+    """From then on: `state_flags`."""
     origin_s: float
     good_s: float
     """From the first fix to the origin, and to a position."""

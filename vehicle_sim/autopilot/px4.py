@@ -292,13 +292,13 @@ class Px4(core.Autopilot):
 
     def begin(self) -> None:
         """Fly the mode from now on: the legs of all AUTO modes but the mission."""
-        at_place, legs = self.estimate.place, list[Leg]()
+        position, legs = self.estimate.place, list[Leg]()
         match self.mode.name:
             case "Takeoff":  # never down
                 up_m = self.base.altitude_amsl_m + self.parameters["MIS_TAKEOFF_ALT"]
-                place = self.asked_or(at_place.at(up_m))
-                if place.altitude_amsl_m < at_place.altitude_amsl_m:
-                    place = place.at(up_m if self.landed else at_place.altitude_amsl_m)
+                place = self.asked_or(position.at(up_m))
+                if place.altitude_amsl_m < position.altitude_amsl_m:
+                    place = place.at(up_m if self.landed else position.altitude_amsl_m)
                 legs = [Leg(Does.CLIMB, place, self.taken_off_s, RETURN)]
             case "Hold":
                 place = self.asked_or(self.stops_at())
@@ -376,7 +376,7 @@ class Px4(core.Autopilot):
         return Place(latitude_deg, longitude_deg, altitude_m if height_m is None else height_m)
 
     def asked_or(self, otherwise: Place) -> Place:
-        """What of a place was asked for, and here what was not."""
+        """What of a place was asked for, and of `otherwise` what was not."""
         height_m = self.asked.altitude_amsl_m
         place = self.asked if given(self.asked) else otherwise
         return place.at(otherwise.altitude_amsl_m if height_m != height_m else height_m)

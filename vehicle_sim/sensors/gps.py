@@ -194,15 +194,15 @@ class Gps:
             self._jam = None
         if locked or not receiver.late_lock:
             self._locked_us = due_us
-        fields, drift_m_s, glitch_m = sample.state, conditions.drift_m_s, conditions.glitch_m
+        state, drift_m_s, glitch_m = sample.state, conditions.drift_m_s, conditions.glitch_m
         drifted_m = self._drift_m + np.array(drift_m_s) * (receiver.interval_us * 1e-6)
         self._drift_m = drifted_m if any(drift_m_s) else np.zeros(3)
         east_deg, up_m = conditions.glitch_longitude_deg, conditions.glitch_up_m
         glitch = (conditions.glitch_latitude_deg, east_deg, up_m)
         if any(drift_m_s + glitch_m + glitch):
-            wrong = _degrees(self._drift_m + glitch_m, fields[0]) + np.array(glitch)
-            fields = fields + np.array([*wrong, *drift_m_s])
-        latitude_deg, longitude_deg, altitude_m, north_m_s, east_m_s, up_m_s = fields.tolist()
+            wrong = _degrees(self._drift_m + glitch_m, state[0]) + np.array(glitch)
+            state = state + np.array([*wrong, *drift_m_s])
+        latitude_deg, longitude_deg, altitude_m, north_m_s, east_m_s, up_m_s = state.tolist()
         return Fix(
             self._locked_us,
             receiver.fix_type if locked else receiver.fix_type_lost,

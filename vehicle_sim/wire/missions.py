@@ -117,8 +117,8 @@ class Missions:
             case "MISSION_ITEM" | "MISSION_ITEM_INT":
                 return self._on_item(message, kind, sender, now_us)
             case "MISSION_REQUEST_LIST":
-                head = (len(self._plans[kind]), kind)
-                return [_to_client(sender, "MISSION_COUNT", *head, identity=self._id_of(kind))]
+                fields = (len(self._plans[kind]), kind)
+                return [_to_client(sender, "MISSION_COUNT", *fields, identity=self._id_of(kind))]
             case "MISSION_REQUEST" | "MISSION_REQUEST_INT":
                 return [self._on_request(message, kind, sender)]
             case _:  # MISSION_CLEAR_ALL
