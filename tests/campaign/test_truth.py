@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from planning import LARGE, spline, zone_distance_m
-from true_track import Surface, clearances_m
+from scipy.optimize import minimize
 
 from companion.campaign import drawn_world, judge, truth
 from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain
@@ -27,25 +27,48 @@ LIMITS = replace(LARGE, north_m=(-20e3, 20e3), east_m=(-20e3, 20e3),
 TASK = replace(WORLD.task, limits=LIMITS, zones=())
 
 
-def test_the_distance_to_mountains_and_towers_is_that_of_the_judge_of_flown_tracks() -> None:
-    """Which searches the surface on ever finer grids, and shares nothing; below it is negative.
+def height_m(peaks: FloatArray, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
+    """Eq. 1: the highest of the mountains, and of the plain."""
+    apart = [((north_m - n) / a) ** 2 + ((east_m - e) / b) ** 2 for n, e, _, a, b in peaks]
+    heights = [h * np.exp(-far) for (_, _, h, *_), far in zip(peaks, apart, strict=True)]
+    return np.asarray(np.maximum.reduce([*heights, 0.0 * north_m]))
 
-    A tower is a mountain 500 times as large to it.
-    """
-    for peaks, wide_m, up_to_m, times in ((MOUNTAINS, 12e3, 1e3, 1), (TOWER, 25.0, 30.0, 500)):
-        rng = np.random.default_rng(2)
-        surface = Surface(times * np.array(peaks), 0.0, "max")
-        north_m, east_m = rng.uniform(-wide_m, wide_m, (2, 200))
-        up_m = surface.height_m(times * north_m, times * east_m) / times
-        up_m += rng.uniform(-0.2, 1.5, 200) * up_to_m
-        points = np.stack([north_m, east_m, up_m], axis=-1)
-        terrain = PeakTerrain(peaks=tuple(Peak(*row) for row in peaks), ground_amsl_m=0.0)
-        found = truth.terrain_distance_m(points, terrain, up_to_m)
-        expected = np.minimum(clearances_m(times * points, surface) / times, up_to_m)
-        under = expected < 0.0
-        np.testing.assert_allclose(found[~under], expected[~under], atol=2e-2)
-        assert (found[under] < 0.0).all()
-        assert np.sum(found < up_to_m) > 50
+
+def clearance_m(point_nea_m: FloatArray, peaks: FloatArray) -> float:
+    """By a grid as wide as the point is above the ground, and a simplex from its nearest place."""
+    north_m, east_m, up_m = point_nea_m
+    above_m = abs(up_m - float(height_m(peaks, north_m, east_m)))
+    if above_m != up_m - height_m(peaks, north_m, east_m):
+        return -above_m
+    ne = np.array(np.meshgrid(*2 * [np.linspace(-above_m, above_m, 61)])).reshape(2, -1)
+    ne += [[north_m], [east_m]]
+
+    def squared_m2(at: FloatArray) -> FloatArray:
+        up = height_m(peaks, at[0], at[1]) - up_m
+        return np.asarray((at[0] - north_m) ** 2 + (at[1] - east_m) ** 2 + up**2)
+
+    start = ne[:, int(np.argmin(squared_m2(ne)))]
+    found = minimize(squared_m2, start, method="Nelder-Mead", options={"xatol": 1e-4 * above_m})
+    return math.sqrt(found.fun)
+
+
+@pytest.mark.parametrize(
+    ("peaks", "wide_m", "up_to_m"), [(MOUNTAINS, 12e3, 1e3), (TOWER, 25.0, 30.0)]
+)
+def test_the_distance_to_mountains_and_towers_is_the_least_to_their_surface(
+    peaks: tuple[tuple[float, ...], ...], wide_m: float, up_to_m: float
+) -> None:
+    rng, table = np.random.default_rng(2), np.array(peaks)
+    north_m, east_m = rng.uniform(-wide_m, wide_m, (2, 200))
+    up_m = height_m(table, north_m, east_m) + rng.uniform(-0.2, 1.5, 200) * up_to_m
+    points = np.stack([north_m, east_m, up_m], axis=-1)
+    terrain = PeakTerrain(peaks=tuple(Peak(*row) for row in peaks), ground_amsl_m=0.0)
+    found = truth.terrain_distance_m(points, terrain, up_to_m)
+    expected = np.minimum([clearance_m(point, table) for point in points], up_to_m)
+    under = expected < 0.0
+    np.testing.assert_allclose(found[~under], expected[~under], atol=2e-2)
+    assert (found[under] < 0.0).all()
+    assert np.sum(found < up_to_m) > 50
 
 
 def test_the_distance_to_an_array_of_heights_is_that_to_its_plane() -> None:

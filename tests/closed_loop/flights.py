@@ -92,11 +92,17 @@ class Flight(Recorded):
 
 
 def flown_here(
-    folder: Path, world: str | Path, mission: str | Path, faults: str = "", seed: int = 1
+    folder: Path,
+    world: str | Path,
+    mission: str | Path,
+    faults: str = "",
+    seed: int = 1,
+    *,
+    limit_s: float = 600.0,
 ) -> Recorded:
-    """A flight in this process, in lockstep, recorded until it ends or is stopped after 600 s."""
+    """A flight in this process, in lockstep, recorded until it ends or is stopped by then."""
     files = FlightFiles(world=Path(world), mission=Path(mission), faults=faults, folder=folder)
-    fly_here(files, seed=seed, limit_s=600.0)
+    fly_here(files, seed=seed, limit_s=limit_s)
     return Recorded(folder=folder)
 
 

@@ -75,6 +75,22 @@ def peaks(rng: np.random.Generator) -> FloatArray:
     return result
 
 
+def ridges(rng: np.random.Generator) -> FloatArray:
+    """Long crests in any direction, side by side or crossing, some with gaps."""
+    result = np.zeros(SHAPE)
+    height, slope = float(rng.uniform(200.0, 3_000.0)), _slope(rng)
+    for _ in range(int(rng.integers(1, 5))):
+        n, e = _somewhere(rng)
+        bearing = float(rng.uniform(0.0, math.pi))
+        aside = (NORTH_M - n) * math.cos(bearing) + (EAST_M - e) * math.sin(bearing)
+        along = (EAST_M - e) * math.cos(bearing) - (NORTH_M - n) * math.sin(bearing)
+        crest = height * (1.0 + float(rng.uniform(0.0, 0.1)) * np.sin(along / 300.0))
+        if rng.random() < 0.5:
+            crest = np.where(np.abs(along) < float(rng.uniform(100.0, 1_000.0)), 0.0, crest)
+        np.maximum(result, crest - slope * np.abs(aside), out=result)
+    return result
+
+
 def walls(rng: np.random.Generator) -> FloatArray:
     """Walls from one node to several cells thick, towers, and pits."""
     result = np.zeros(SHAPE)
@@ -84,6 +100,14 @@ def walls(rng: np.random.Generator) -> FloatArray:
         inside = (np.abs(NORTH_M - n) <= half[0]) & (np.abs(EAST_M - e) <= half[1])
         result[inside] = float(rng.uniform(-300.0, 2_000.0))
     return result
+
+
+def steps(rng: np.random.Generator) -> FloatArray:
+    """Terraces."""
+    bearing, slope = float(rng.uniform(0.0, 2.0 * math.pi)), _slope(rng)
+    rise = slope * (NORTH_M * math.cos(bearing) + EAST_M * math.sin(bearing))
+    height = float(rng.uniform(30.0, 600.0))
+    return np.asarray(np.floor((rise - rise.min()) / height) % float(rng.integers(2, 9)) * height)
 
 
 def relief(rng: np.random.Generator) -> FloatArray:
@@ -97,7 +121,7 @@ def relief(rng: np.random.Generator) -> FloatArray:
     )
 
 
-SORTS = (peaks, walls, relief)
+SORTS = (peaks, ridges, walls, steps, relief)
 
 
 def ground(number: int) -> tuple[Ground, np.random.Generator]:
