@@ -85,7 +85,8 @@ def test_what_a_scanner_that_keeps_its_promise_does_not_show_is_below_its_bound(
             "with losses": with_losses(complete, rng, share),
             "one sample a cell, with losses": with_losses(sampled, rng, share),
             "in parts not answered": replace(complete, heights_m=in_parts),
-            "it moves": moving(place, complete, radar, rng),
+            "it moves a little": moving(place, complete, radar, rng, 15.0),
+            "it moves far": moving(place, complete, radar, rng, 300.0),
             "not where it says, nor the cells": replace(
                 complete,
                 radar_nea_m=complete.radar_nea_m + off_m,
@@ -97,9 +98,11 @@ def test_what_a_scanner_that_keeps_its_promise_does_not_show_is_below_its_bound(
             check(scan, sight.met_m, f"terrain {number}, {name}")
 
 
-def moving(place: Ground, early: Scan, radar: Point, rng: np.random.Generator) -> Scan:
+def moving(
+    place: Ground, early: Scan, radar: Point, rng: np.random.Generator, away_m: float
+) -> Scan:
     """A scan of which the second half of the answers, here and there, is given from elsewhere."""
-    turn, away_m = rng.uniform(0.0, 2.0 * np.pi), float(rng.choice([15.0, 300.0]))
+    turn = rng.uniform(0.0, 2.0 * np.pi)
     n, e = radar[0] + away_m * np.cos(turn), radar[1] + away_m * np.sin(turn)
     ground_m = float(place.height_m(np.array([n]), np.array([e]))[0])
     there = n, e, max(radar[2] + float(rng.choice([0.0, 5.0])), ground_m + 5.0)
