@@ -78,7 +78,7 @@ def page(chromium: Path, folder: Path, grow: Grow, errors: list[str]) -> Iterato
         page.on("console", lambda told: errors.append(told.text) if told.type == "error" else None)
         page.on("pageerror", lambda error: errors.append(str(error)))
         page.goto(f"{address}?{_COARSE}")
-        grow(0.6)
+        grow(0.65)
         expect(page.get_by_text("flying", exact=True)).to_be_visible()
         yield page
         browser.close()
@@ -106,7 +106,7 @@ def drawn(page: Page) -> dict[str, float]:
 def test_what_is_flown_is_on_the_page_and_changes(page: Page, grow: Grow) -> None:
     expect(page.get_by_text("newest plan")).to_be_visible()
     before = row(page, "to go")
-    grow(0.7)
+    grow(0.75)
     expect(page.locator("tr", has_text=re.compile("^to go")).first).not_to_have_text(before)
     until_s = time.monotonic() + _PATIENCE_MS / 1e3
     while min((shares := drawn(page)).values()) < 2e-4:
@@ -123,7 +123,7 @@ def test_an_event_that_is_clicked_is_shown_where_it_happened_though_it_flies_on(
     page.get_by_role("tab", name="flight").press("Enter")
     shown = f"time{line.split()[0]}"
     expect(clock).to_have_text(shown)
-    grow(0.8)
+    grow(0.85)
     expect(clock).to_have_text(shown)
     page.get_by_role("button", name="newest").press("Enter")
     expect(clock).not_to_have_text(shown)
