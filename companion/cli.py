@@ -15,9 +15,8 @@ from datetime import UTC, datetime
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple, TextIO, cast, final
+from typing import Annotated, NamedTuple, TextIO, cast, final
 
-import msgspec
 import typer
 from rich.console import Console
 
@@ -36,7 +35,6 @@ from companion.live_view.command import VIEW_PORT, PortOption, started_view, sta
 from companion.mavlink.preflight import CheckStatus, checks_of, not_heard
 from companion.mavlink.signing import Signing
 from companion.mission.events import Outcome
-from companion.mission.journal import KINDS, Header
 from companion.mission.mission import Mission
 from companion.mission.state import Reason
 from companion.paper.compare.command import compare_command
@@ -48,11 +46,10 @@ from companion.runtime.link import open_link
 from companion.runtime.loop import fly
 from companion.runtime.preflight import run_preflight
 from companion.runtime.terminal import Terminal, stop_signals
+from companion.schemas import Document, schema_of
 from companion.session import Session
 from companion.sources.files import picture_file, writing
-from companion.sources.mission_file import MissionTable, ThreatsTable
 from companion.telemetry.flight_status import (
-    LINES,
     LOADS,
     SCHEMA,
     VERSION,
@@ -309,8 +306,8 @@ def check_command(mission: MissionArgument, profile: ProfileOption = None) -> No
 
 @app.command("schema")
 def schema_command(
-    of: Annotated[
-        Literal["mission", "journal", "status"],
+    document: Annotated[
+        Document,
         typer.Argument(metavar="WHAT", help="mission, journal or status.", show_default=False),
     ],
 ) -> None:
@@ -319,21 +316,7 @@ def schema_command(
     An editor that knows it completes and checks a mission as it is written. Of world.toml:
     **vehicle-sim --schema**.
     """
-    if of == "mission":
-        schema = MissionTable.model_json_schema()
-        schema["properties"]["threats"]["anyOf"].append(ThreatsTable.model_json_schema())
-        for table in (schema, *schema["$defs"].values()):
-            table.pop("required", None)  # a plan that is named may hold it: `check` says what lacks
-    else:
-        kinds = (Header, *KINDS.values()) if of == "journal" else LINES
-        any_of, defs = msgspec.json.schema_components(
-            kinds, schema_hook=lambda _: {"type": "object"}
-        )
-        for value in defs.get("Certificate", {}).get("properties", {}).values():
-            value["type"] = [value["type"], "null"]  # JSON has no infinite numbers
-        schema = {"anyOf": any_of, "$defs": defs}
-    schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
-    typer.echo(json.dumps(schema, indent=2))
+    typer.echo(json.dumps(schema_of(document), indent=2))
 
 
 def _print_version(wanted: bool) -> None:

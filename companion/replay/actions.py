@@ -14,11 +14,12 @@ from msgspec.structs import asdict
 from companion.config import load_mission
 from companion.errors import FlightFailed, InputError
 from companion.mavlink.link import Output
+from companion.mission.mission import Mission
 from companion.replay.compare import Replay, replay_of_folder, replay_of_log
 from companion.replay.feed import flown_mission
 from companion.replay.shadow import watch
 from companion.replay.shadow_report import renderables
-from companion.replay.what_if import what_if, what_if_table
+from companion.replay.what_if import what_if, what_if_table, with_changes
 from companion.runtime.compiler import load_kernel
 from companion.runtime.loop import prompt_threads
 from companion.sources.files import file_of_run, writing
@@ -99,6 +100,7 @@ def changed(
         raise InputError("RUN_DIR|LOG", str(folder), rule, "Give the run folder of the flight.")
     plans, flown = [], flown_mission(folder)
     other = load_mission(str(folder / "mission.toml"), profile, settings)
+    _refuse_idle(folder, profile, settings, other)
     _load_planner()
     with plain_console(stderr=True).status("planning again") as status:
         for replanned in what_if(folder, flown, other, seed=seed):
@@ -106,6 +108,20 @@ def changed(
             status.update(f"planned again: {len(plans)}")
     console.print(what_if_table(plans))
     _write(plans, json_file)
+
+
+def _refuse_idle(folder: Path, profile: str | None, settings: list[str], other: Mission) -> None:
+    """InputError about a setting without which each subpath would be planned alike."""
+    for index, setting in enumerate(settings):
+        rest = settings[:index] + settings[index + 1 :]
+        try:
+            without = load_mission(str(folder / "mission.toml"), profile, rest).task
+        except InputError:  # the others need it
+            continue
+        if with_changes(without, without, other.task) == without:
+            rule = "it changes nothing by which recorded subpaths are planned again"
+            remedy = "Set limits of the vehicle, planner keys, weights or threats to other values."
+            raise InputError("--set", setting, rule, remedy)
 
 
 def shadow(flight: Path, mission: str | None, system: int | None, json_file: Path | None) -> None:

@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
+from itertools import groupby
 from typing import Final, Literal, final
 
 import numpy as np
@@ -184,7 +185,7 @@ def renderables(report: ShadowReport) -> list[RenderableType]:
         ),
         "where it would have planned": (
             ("at", "where", "why", "answer", "flown track off it, max / rms"),
-            [_plan_row(asked) for asked in report.plans],
+            list(_plan_rows(report.plans)),
         ),
     }
     shown = [_table(title, *of) for title, of in tables.items() if of[1]]
@@ -241,6 +242,16 @@ def _observed_row(seen: Observed) -> list[str]:
     ground = "" if seen.in_air else " (on the ground)"
     until = "the end" if seen.until_s is None else f"{seen.until_s:,.1f} s"
     return [f"{seen.from_s:,.1f} s", until, f"{seen.kind}{far}{ground}", _where(seen.place)]
+
+
+def _plan_rows(plans: Sequence[PlanAttempt]) -> Iterator[list[str]]:
+    """A row for each plan; what is refused again and again has one."""
+    for refusal, alike in groupby(plans, key=lambda asked: (asked.reason, asked.why)):
+        first, *others = map(_plan_row, alike)
+        if refusal[0] and others:
+            first[0] += f" to {others[-1][0]}, {1 + len(others)} times"
+            others = []
+        yield from (first, *others)
 
 
 def _plan_row(asked: PlanAttempt) -> list[str]:

@@ -51,8 +51,9 @@ class Figures(Struct, frozen=True):
         """Cost or why there is none, clearance, length and time, for people."""
         if self.cost is None or self.length_m is None:
             return [self.refusal.lower().replace("_", " ") or "-", "-", "-", "-"]
-        clearance, length = f"{self.clearance_m:,.0f} m", f"{self.length_m / 1000.0:,.2f} km"
-        return [f"{self.cost:.2f}", clearance, length, f"{self.time_s:,.0f} s"]
+        clearance = metres_at_least(self.clearance_m or 0.0)
+        length, time = f"{self.length_m / 1000.0:,.2f} km", f"{self.time_s:,.0f} s"
+        return [f"{self.cost:.2f}", clearance, length, time]
 
 
 @final

@@ -125,7 +125,7 @@ class WriterThread:
             self._recorder.tell(WRITER, f"it has stood still for {self._still_s:.1f} s")
 
     def _run(self) -> None:
-        out: Output | None = Output()
+        out = self._outputs.get()
         while out is not None:
             self._recorder.put(out)
             self._written_bytes += out.size

@@ -374,9 +374,7 @@ def _items(path: Path, where: str) -> list[Labelled]:
 def _take_zones(items: Iterable[Labelled], zones: Zones) -> list[RawTable]:
     """Add circles and polygons, whose corners follow one another; the rally points."""
     rally_points = list[RawTable]()
-    for (command, size), group in groupby(
-        items, lambda labelled: (labelled[1].command, labelled[1].size)
-    ):
+    for (command, size), group in groupby(items, lambda one: (one[1].command, one[1].size)):
         members, step = list(group), 1
         if command in _POLYGONS:
             if short := len(members) if size < 3 or size % 1 else len(members) % size:

@@ -261,10 +261,10 @@ def read_geojson(path: Path, where: str, leave_out: Collection[NoZone] = ()) -> 
         raise InputError(where, str(path), rule, remedy)
     if content.get("type") in _GEOMETRIES:
         content = {"type": "Feature", "geometry": content}
-    features = [content] if content.get("type") == "Feature" else content.get("features")
-    if content.get("type") not in ("FeatureCollection", "Feature") or not isinstance(
-        features, list
-    ):
+    if content.get("type") == "Feature":
+        content = {"type": "FeatureCollection", "features": [content]}
+    features = content.get("features")
+    if content.get("type") != "FeatureCollection" or not isinstance(features, list):
         raise InputError(where, str(path), "it is no GeoJSON FeatureCollection", _REMEDY)
     zones, no_zones = Zones(), Counter[NoZone]()
     for index, feature in enumerate(features):

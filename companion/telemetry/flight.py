@@ -199,7 +199,7 @@ class Flight:
         self._mission = mission
         self.system_id = system_id
         self.left_out = 0
-        """Positions before there was a fix, or that stand alone in time."""
+        """Positions since the first fix that are without one, or stand alone in time."""
         self.heard = array("q")
         """Of each frame of the autopilot: microseconds since 1970, and its sequence number."""
         self.gps = array("q")
@@ -248,7 +248,8 @@ class Flight:
         """Bring all that is derived up to date."""
         positions = np.array(self._positions, dtype=np.int64).reshape(-1, len(_COLUMNS))
         track = self.track = Track.of(positions)
-        self.left_out = len(positions) - len(track)
+        since_us = track.time_us.min(initial=np.iinfo(np.int64).max)
+        self.left_out = int((positions[:, 0] >= since_us).sum()) - len(track)
         self._begins_s = self._begins_of_boots_s()
         self.times_s: FloatArray = track.t_s + np.array(self._begins_s)[track.boot]
         """Of each position since the first one; it goes on across reboots.  (N,)"""

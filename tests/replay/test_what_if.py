@@ -58,12 +58,13 @@ def test_the_command_tabulates_and_writes_what_is_proven_by_another_distance(
         assert row["flown"]["clearance_m"] >= 500.0
 
 
-def test_the_command_refuses_a_setting_that_no_mission_may_have() -> None:
+def test_the_command_refuses_a_setting_that_no_mission_may_have_or_that_does_nothing() -> None:
     for setting, words in {
         "=3": "it is not a key, an = and a value",
         "name.of=3": "name = {'of': 3}: it must be a valid string",
         "planner.safty_distance_m=3": "no such key",
         "planner.planning_time_s=1e4": "eq. 4",
+        "terrain.highest_amsl_m=900": "it changes nothing by which recorded subpaths are planned",
     }.items():
         code, _, said = answered("replay", FLIGHT, "--set", setting)
         assert (code, said.count("\n")) == (2, 1)

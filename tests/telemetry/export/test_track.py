@@ -64,7 +64,8 @@ def test_only_the_autopilot_of_the_vehicle_counts_and_only_with_a_fix() -> None:
     others = [position(1.0, ids=ids) for ids in ((2, 1), (1, 195), (255, 190))]
     assert len(flight(*others, 2.0).track) == 1
     assert len(flight(*others, 2.0, system_id=None).track) == 2
-    found = flight(position(1.0, lat=0, lon=0), position(2.0, lat=2_000_000_000), 3.0)
+    without = [position(4.0, lat=0, lon=0), position(5.0, lat=2_000_000_000)]
+    found = flight(position(1.0, lat=0, lon=0), 3.0, *without)  # at first nobody has one
     assert (found.track.t_s.tolist(), found.left_out) == ([3.0], 2)
     none = flight(entries=[begun("holding", 1.0)])
     assert (len(none.track), none.segments(), none.places_nea_m.shape) == (0, [], (0, 3))
