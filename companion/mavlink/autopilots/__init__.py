@@ -12,6 +12,7 @@ from companion.mavlink.autopilots.px4_multicopter import PX4_MULTICOPTER as PX4_
 from companion.mavlink.dialect import Message, enum_word
 
 ALL: tuple[Autopilot, ...] = (ARDUCOPTER, ARDUPLANE, PX4_MULTICOPTER, PX4_FIXED_WING)
+"""One for each firmware and kind of vehicle: of two the first is chosen, and a rover is no kind."""
 NAMES = tuple(autopilot.name for autopilot in ALL)
 """What the companion flies, for people."""
 
