@@ -1,6 +1,6 @@
 """One strategy per autopilot and vehicle type: commands, setpoints, decoding (design 4).
 
-Each stands in one file, and in `ALL`.
+Each stands in one file, and in `ALL`: one for each firmware and kind of vehicle.
 """
 
 from companion.mavlink.autopilots.arducopter import ARDUCOPTER as ARDUCOPTER
@@ -12,7 +12,6 @@ from companion.mavlink.autopilots.px4_multicopter import PX4_MULTICOPTER as PX4_
 from companion.mavlink.dialect import Message, enum_word
 
 ALL: tuple[Autopilot, ...] = (ARDUCOPTER, ARDUPLANE, PX4_MULTICOPTER, PX4_FIXED_WING)
-"""One for each firmware and kind of vehicle: of two the first is chosen, and a rover is no kind."""
 NAMES = tuple(autopilot.name for autopilot in ALL)
 """What the companion flies, for people."""
 
