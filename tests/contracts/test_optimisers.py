@@ -72,9 +72,7 @@ def test_what_is_known_is_tried_first_and_the_best_of_the_budget_is_told_whateve
     assert asked[:first].tolist() == known[:first].tolist()
     costs = np.nan_to_num(objective(asked), nan=np.inf, posinf=np.inf)
     assert ranked.costs[0] == costs.min()
-    tried = {each.tobytes() for each in asked}  # members that were not evaluated are none
-    told = [each.tobytes() in tried for each in ranked.x]
-    assert told[0]
+    told = slice(None if budget % len(ranked.x) == 0 else 1)  # else some were not evaluated
     found = np.nan_to_num(objective(ranked.x[told]), nan=np.inf, posinf=np.inf)
     assert found == pytest.approx(ranked.costs[told], rel=1e-12)
     assert ranked.costs[told].tolist() == sorted(ranked.costs[told])
