@@ -11,18 +11,7 @@ from pymavlink.dialects.v20 import all as wire
 from wires import FRAME, GEOD, SYSTEM, assert_told, geodetic, geodetic_e7, heard, over_the_wire
 
 from companion.geodesy import LocalFrame
-from companion.mavlink.autopilots import (
-    ALL,
-    ARDUCOPTER,
-    ARDUPLANE,
-    FIRMWARES,
-    NAMES,
-    PX4_FIXED_WING,
-    PX4_MULTICOPTER,
-    Autopilot,
-    autopilot_of,
-    described,
-)
+from companion.mavlink.autopilots import ALL, FIRMWARES, NAMES, Autopilot, autopilot_of, described
 from companion.mavlink.autopilots.messages import To
 from companion.mission import events
 from companion.mission.events import Landed, Mode, Setpoint, Vector
@@ -30,6 +19,7 @@ from companion.mission.mission import AutopilotName
 from vehicle_sim.autopilot.earth import FlatEarth, Projection
 from vehicle_sim.autopilot.values import Place
 
+ARDUCOPTER, ARDUPLANE, PX4_MULTICOPTER, PX4_FIXED_WING, *_ = ALL
 HOVERING, PX4 = (ARDUCOPTER, PX4_MULTICOPTER), (PX4_MULTICOPTER, PX4_FIXED_WING)
 CORNER = (100_000.0, 100_000.0, 3500.0)
 PLACES = (CORNER, (0.0, 0.0, 3500.0), (-5000.0, 105_000.0, 4000.0))
