@@ -7,10 +7,10 @@ From `cost` on it is plain Python that numba compiles as it is (`companion.jit`)
 time.  As soon as the partial sum exceeds a bound above which the search rejects the candidate
 anyway, the cost stops and says infinity: every term is at least zero.
 
-One more term takes two places: a row of `Weights`, from which the key of the mission file, journal,
-report, view and figures derive, and here its number and its line in `cost`; what it has to know of
-the map is a field of `Scene`, filled in by `planner.searches`.  What a metre of it costs on the way
-on is in `planner.cost_grid` and `planner.price`: without that it is planned badly.
+One more term is a row of `Weights`, from which the key of the mission file, journal, report, view
+and figures derive, and here its number and its line in `cost`; what it has to know of the map is a
+field of `Scene`, filled in by `planner.searches`.  If a metre of the way on has a price by it, that
+is in `planner.cost_grid` and `planner.price`: without it that is planned badly.
 """
 
 import math

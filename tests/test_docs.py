@@ -103,6 +103,12 @@ def test_a_command_of_the_pages_does_what_it_says(
     assert shown.strip()
 
 
+def test_every_command_is_shown_on_a_page() -> None:
+    known, text = typer.main.get_command(app), "".join(map(text_of, PAGES))
+    assert isinstance(known, typer.core.TyperGroup)
+    assert [name for name in known.commands if f"companion {name} " not in text] == []
+
+
 def test_what_is_named_anywhere_is_in_the_repository_and_nothing_beside_it() -> None:
     """Every page that is named, and every file that a page links to or sends engineers to."""
     written = [path for path in ROOT.iterdir() if path.suffix in (".md", ".toml")]

@@ -30,7 +30,7 @@ Vector = tuple[float, float, float]
 _ZERO: Final = (0.0, 0.0, 0.0)
 
 
-# --- conditions: what is wrong now, by who minds it.  FAULTS says what each means -----------------
+# --- conditions: what is wrong now, by who minds it.  FAULTS says what each means, or ASKING ------
 
 
 class GpsConditions(NamedTuple):

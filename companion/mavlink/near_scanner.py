@@ -23,13 +23,13 @@ _RATE_HZ: Final = 20.0
 
 
 def messages_of(mission: Mission) -> frozenset[int]:
-    """What is read of the autopilot and of the sensor."""
+    """What is read of the autopilot and of the sensor, for all that the mission reads."""
     sensor = () if mission.near is None else (MESSAGES[mission.near.kind],)
     return frozenset({*streams_hz(mission), *sensor})
 
 
 def streams_hz(mission: Mission) -> dict[int, float]:
-    """What the autopilot has to send for them, and how often."""
+    """What the autopilot has to send for all sensors that the mission reads, and how often."""
     sensor, wanted = mission.near, dict[int, float]()
     if mission.rangefinder_error_m is not None:
         wanted = {ATTITUDE: _RATE_HZ, SECTORS: rangefinder.RATE_HZ}

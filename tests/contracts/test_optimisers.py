@@ -14,7 +14,7 @@ from companion.optimise.registry import OPTIMISERS
 FloatArray = NDArray[np.float64]
 Objective = Callable[[FloatArray], FloatArray]
 
-PAPERS = set(OPTIMISERS) - {"refined-de"}
+PAPERS = ("improved-de", "de/rand/1/bin", "pso", "ga")
 every_optimiser = pytest.mark.parametrize("name", OPTIMISERS)
 seeds = st.integers(0, 10**6)
 
@@ -72,7 +72,7 @@ def test_what_is_known_is_tried_first_and_the_best_of_the_budget_is_told_whateve
     assert asked[:first].tolist() == known[:first].tolist()
     costs = np.nan_to_num(objective(asked), nan=np.inf, posinf=np.inf)
     assert ranked.costs[0] == costs.min()
-    told = slice(None if budget % 60 == 0 else 1)  # members that were not evaluated are none
+    told = slice(None if budget % len(ranked.x) == 0 else 1)  # else some were not evaluated
     found = np.nan_to_num(objective(ranked.x[told]), nan=np.inf, posinf=np.inf)
     assert found == pytest.approx(ranked.costs[told], rel=1e-12)
     assert ranked.costs[told].tolist() == sorted(ranked.costs[told])
@@ -115,7 +115,6 @@ def test_the_lowest_place_is_found(
 
 
 def test_no_two_names_are_the_same_search_and_the_papers_have_its_60_members() -> None:
-    assert {"improved-de", "pso", "ga", "de/rand/1/bin"} <= PAPERS
     asked = {search(name, about(0.3), seed=3)[1].tobytes() for name in OPTIMISERS}
     assert len(asked) == len(OPTIMISERS)
     for name in PAPERS:

@@ -19,7 +19,7 @@ from companion.mission.mission import AutopilotName
 from vehicle_sim.autopilot.earth import FlatEarth, Projection
 from vehicle_sim.autopilot.values import Place
 
-ARDUCOPTER, ARDUPLANE, PX4_MULTICOPTER, PX4_FIXED_WING = ALL
+ARDUCOPTER, ARDUPLANE, PX4_MULTICOPTER, PX4_FIXED_WING, *_ = ALL
 HOVERING, PX4 = (ARDUCOPTER, PX4_MULTICOPTER), (PX4_MULTICOPTER, PX4_FIXED_WING)
 CORNER = (100_000.0, 100_000.0, 3500.0)
 PLACES = (CORNER, (0.0, 0.0, 3500.0), (-5000.0, 105_000.0, 4000.0))
@@ -263,6 +263,7 @@ def test_which_autopilot() -> None:
         assert (autopilot_of(beat), described(beat)) == (expected, words)
         assert expected is None or words in NAMES
     assert {each.name for each in FIRMWARES} == set(get_args(AutopilotName))
+    assert len({(each.firmware, each.traits.kind) for each in ALL}) == len(ALL)  # else never chosen
 
 
 PX4_MODES = (  # px4.md 3

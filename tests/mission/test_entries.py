@@ -2,7 +2,9 @@
 
 import json
 import math
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -45,3 +47,12 @@ def test_what_is_in_the_telemetry_log_is_not_told_again() -> None:
     told = journal.of_event(scan_done(1.0), state)
     assert told is not None
     assert told["kind"] == "scan done"
+
+
+def test_what_is_noted_by_the_name_of_its_kind_is_declared() -> None:
+    """Else readers pass over it, and the page of the journal does not know it."""
+    ours = Path(journal.__file__).parents[1]
+    written = [ours / "session.py", *(ours / "mavlink").glob("*.py"), *ours.glob("runtime/*.py")]
+    source = "".join(path.read_text(encoding="utf-8") for path in written)
+    named = set(re.findall(r'"kind": "([^"]+)"', source))
+    assert {"say", "scan", "acknowledged", "part died"} <= named <= journal.KINDS.keys()

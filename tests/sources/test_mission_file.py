@@ -23,6 +23,7 @@ from companion.errors import InputError
 from companion.geodesy import FloatArray, LocalFrame
 from companion.mavlink.near_scanner import messages_of, streams_hz
 from companion.mission.mission import EndAction, Fallback
+from companion.optimise.registry import OPTIMISERS
 from companion.sources.mission_file import MissionTable
 from companion.sources.zones import ZoneTable, zones_of
 from companion.world.zones import CircleZone
@@ -315,9 +316,14 @@ def test_the_page_of_files_has_every_key_and_the_default_that_it_is_declared_wit
         said |= dict.fromkeys(re.findall(r"[a-z]\w*\.\w+", keys), default)
     for key, declared in keys_of(SCHEMA):
         if key.startswith("planner.weights."):  # one for each term of the cost
+            assert f"{key}`" in PAGE or f"`.{key.rpartition('.')[2]}`" in PAGE, key
             continue
         assert key.rpartition(".")[2] in PAGE
         default = declared.get("default", "")
         if default is not None:
             shown = f"{default:g}" if isinstance(default, float) else str(default)
             assert said.get(key, "") == (shown.lower() if default in (True, False) else shown), key
+
+
+def test_the_page_of_files_names_every_optimiser() -> None:
+    assert [name for name in OPTIMISERS if f'`"{name}"`' not in PAGE] == []

@@ -5,7 +5,7 @@ import re
 import shutil
 import struct
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from recorded import EPOCH_US
 from tlog import frames_of
 
 from companion.config import load_mission
+from companion.profiles import Weights
 from companion.replay.exporting import facts_of, write_report
 from companion.world.known_map import KnownMap, empty_map, packed_map
 
@@ -156,6 +157,7 @@ def test_the_page_says_what_the_files_say_is_whole_and_loads_nothing(
         *(f" {e['length_m']:,.0f} {e['evaluations']:,} " for e in ready),
     ):
         assert expected in words
+    assert {weight.name for weight in fields(Weights)} <= {*read.xpath("//th/text()")}
     assert sum(e["kind"] == "say" for e in said) == words.count("companion: ")
     assert "cut as time was up" not in words
     loads = {"script", "link", "iframe", "object", "embed", "base", "form", "img"}

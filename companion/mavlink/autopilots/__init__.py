@@ -1,6 +1,6 @@
 """One strategy per autopilot and vehicle type: commands, setpoints, decoding (design 4).
 
-Each stands in one file, and in `ALL`.
+Each stands in one file, and in `ALL`: one for each firmware and kind of vehicle.
 """
 
 from companion.mavlink.autopilots.arducopter import ARDUCOPTER as ARDUCOPTER
