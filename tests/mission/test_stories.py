@@ -288,16 +288,12 @@ def refuses(kind: OrderKind, why: str) -> Callable[[Craft], bool]:
 
 LEFT_ALONE = is_left_alone_for(150.0)
 IS_PAUSED, UNREAD = holds_for(Reason.PAUSED), holds_for(Reason.FENCE_UNREAD)
-BACK, PLANS = says(": flying back, then home"), says(": planning a way home")
+BACK = says(": flying back, then home")
 EMPTY_ONCE = (hears(events.Battery, remaining=0.0), 2.0, hears(events.Battery, remaining=0.0), 2.5)
 NO_PAUSE = refuses(PAUSE, f"pause refused: {Reason.BATTERY_LOW.text}")
 FALLS_BACK = (
     *(Reason.BATTERY_LOW, says(f"hold: {Reason.BATTERY_LOW.text}"), DONE),
     lambda it: it.end().outcome is Outcome.FAILED,
-)
-RETURNS_AGAIN = (
-    *(PAUSE, 2.0, CONTINUE, DONE, at_its_start),
-    lambda it: it.end().reason == f"landed: {Reason.RETURN_ASKED.text}",
 )
 TAKES_OFF = until(lambda craft: craft.sent(events.TakeOff))
 ASKS_BACK = until(lambda craft: getattr(craft.state.stage, "backtrack", None))
@@ -339,10 +335,9 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         RETURN, RETURNING, 10.0, LOW, 5.0, says(Reason.BATTERY_LOW.text), NO_PAUSE, DONE, is_down),
     # home is where the vehicle has it, and not where it was taken over
     "told to return": (taken_over, LED_ON, RETURN, DONE, is_home, BACK),
-    "low": (taken_over, LED_ON, LOW, DONE, is_home, BACK),
     "no way on": (taken_over, LED_ON, no_way_on, DONE, is_home, BACK),
-    "told to return at once": (taken_over, TAKES_OVER, RETURN, DONE, is_home, PLANS),
-    "no way on from the beginning": (taken_over, no_way_on, DONE, is_home, PLANS),
+    "told to return at once": (taken_over, TAKES_OVER, RETURN, DONE, is_home,
+        says(": planning a way home")),
     "at the last target": (lambda: taken_over(replace(NEAR, end_action=EndAction.RETURN)),
         DONE, is_home, arrives),
     "from where nothing leads away": (taken_over,
@@ -368,8 +363,9 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         30.0, again, now(mode=found), 20.0, RETURN, ASKS_BACK, asks_for_the_whole_way)
         for again in (Craft.restart, Craft.reboot) for found in (Mode.GUIDED, Mode.HOLD)},
     # a pause gives back what it broke off
-    "a return paused at once": (under_way(), RETURN, *RETURNS_AGAIN),
-    "a return paused on its way": (under_way(), RETURN, 20.0, *RETURNS_AGAIN),
+    "a return paused at once": (under_way(),
+        RETURN, PAUSE, 2.0, CONTINUE, DONE, at_its_start,
+        ends_as(Outcome.STOPPED, f"landed: {Reason.RETURN_ASKED.text}")),
     "a return paused before its answer": (under_way(), *PAUSED_BEFORE, answered, *STAYS_PAUSED),
     "a return paused, and a restart": (under_way(), *PAUSED_BEFORE, Craft.restart, *STAYS_PAUSED),
     "a return for want of plans, paused": (under_way(fallback=Fallback.RETURN),
@@ -425,7 +421,6 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         until(lambda it: it.armed), without_go, Craft.restart, DONE,
         lambda it: it.state.reason is Reason.NOT_READY and not it.sent(events.TakeOff),
         lambda it: len(it.sent(events.Disarm)) > 0),
-    "a restart in its landing": (landing_begun, Craft.restart, DONE, is_down),
     "a reboot in its landing": (landing_begun, Craft.reboot, DONE, is_down),
     "a landing asked for in vain": (lambda: arrived(LAND),
         now(obeys_modes=False), LANDING, now(mode=Mode.GUIDED), 5.0,
@@ -486,7 +481,6 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "told to land": (under_way(),
         5.0, LANDS, is_flying, LANDING, lambda it: math.hypot(*it.velocity) < 0.5, DONE, is_down,
         lambda it: it.end().reason == "landed: told to land"),
-    "told to land without a position": (holding_without_fix, LANDS, LANDING),
     # a fence that has changed is held for until it is read
     "a fence is changed": (under_way(),
         FENCE_CHANGES, says("reading 5,010 items"), HOLDING, 153.0, UNREAD,
@@ -509,7 +503,6 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "it is ready for as long as it takes": (ready,
         200.0, told_nothing, says("waits for go", 1), START, Phase.TAKING_OFF,
         lambda it: len(it.sent(events.Arm)) > 0),
-    "go was said": (lambda: Craft(NEAR), Phase.ARMING, lambda it: not says("waits for go")(it)),
     "its parameters are refused": (preparing,
         hears(events.Prepared, item=events.Item.PARAMETERS, refusal="A = 1", remedy="Set it."),
         DONE, lambda it: it.end().reason == f"{Reason.REFUSED.text}: A = 1",
@@ -540,7 +533,6 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         NAMESAKE, *20 * (1.0, GOES_ON), says(f"{Reason.NOT_ALONE.text}: end it", 1),
         DONE, arrives),
     # it is stopped
-    "stopped before it was told anything": (Craft, hears(events.StopAsked), DONE, told_nothing),
     "stopped in a landing for want of plans": (
         lambda: Craft(replace(NEAR, fallback=Fallback.LAND), plan=closed_in),
         LANDING, hears(events.StopAsked), DONE, ends(Reason.STOPPED)),
