@@ -68,7 +68,6 @@ def refused(*arguments: str | Path) -> str:
 
 
 REFUSED = {
-    "fly nowhere": "MISSION = 'nowhere'",
     "fly environment-1 --seed -1": "--seed",
     "fly environment-1 --profile bold": "--profile",
     "fly environment-1 environment-2": "environment-2",

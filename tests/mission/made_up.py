@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Self, TypeVar
 
 import numpy as np
+import planning
 import pytest
 from made_up_plans import certificate as certificate
 from made_up_plans import not_planned, straight, within_band
@@ -19,14 +20,13 @@ from companion.mavlink.autopilots import ALL, ARDUCOPTER
 from companion.mission import changes, checkpoint, events, machine
 from companion.mission.changes import OrderResult
 from companion.mission.decisions import Context
-from companion.mission.events import Command, Event, Landed, Mode, ScanDone, Vector, VehicleStatus
+from companion.mission.events import Command, Event, Landed, Mode, ScanDone, Vector
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.mission.state import Phase, Reason, State
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
-from companion.path.limits import Limits
 from companion.path.subpath import Subpath
 from companion.planner.request import Backtrack, PlanOutcome, PlanRequest
-from companion.planner.settings import PlannerSettings, Task
+from companion.planner.settings import Task
 from companion.world.known_map import NO_ANSWER, Scan, empty_map
 
 HOME_AMSL_M = 3000.0
@@ -44,26 +44,17 @@ AWAY = replace(MISSION, targets_ne_m=((20_000.0, 20_000.0),))
 """Two legs away."""
 LAND = replace(NEAR, end_action=EndAction.LAND)
 SHORT_LEG_M = 300.0
-_COPTER = Limits(
-    speed_m_s=10.0,
-    acceleration_m_s2=2.5,
-    climb_rate_m_s=3.0,
-    turn_radius_m=40.0,
-    climb_angle_rad=0.3,
-    dive_angle_rad=0.3,
-    floor_amsl_m=3010.0,
-    ceiling_amsl_m=3120.0,
-    north_m=(-1000.0, 1000.0),
-    east_m=(-1000.0, 1000.0),
-    tracking_error_m=3.0,
-    navigation_error_m=2.0,
+_PLACE: dict[str, Any] = {
+    "floor_amsl_m": 3010.0,
+    "ceiling_amsl_m": 3120.0,
+    "north_m": (-1000.0, 1000.0),
+    "east_m": (-1000.0, 1000.0),
+}
+_COPTER = planning.limits(
+    speed_m_s=10.0, turn_radius_m=40.0, tracking_error_m=3.0, navigation_error_m=2.0, **_PLACE
 )
-_PLANE = replace(
-    _COPTER, speed_m_s=20.0, turn_radius_m=150.0, tracking_error_m=10.0, loiter_radius_m=80.0
-)
-_SETTINGS = PlannerSettings(
-    scan_range_m=800.0, safety_distance_m=12.0, planning_time_s=1.0, scan_time_s=1.0
-)
+_PLANE = replace(planning.PLANE_TASK.limits, navigation_error_m=2.0, **_PLACE)
+_SETTINGS = replace(planning.PLANE_TASK.settings, scan_range_m=800.0, safety_distance_m=12.0)
 
 
 def short(traits: VehicleTraits, **changes: Any) -> Mission:
@@ -87,7 +78,6 @@ def of_each(counts: Callable[[VehicleTraits], bool]) -> pytest.MarkDecorator:
 
 EACH = of_each(lambda _: True)
 PLANES = of_each(lambda traits: not traits.hovers)
-HOLDS_FOR_SETPOINTS = of_each(lambda traits: traits.needs_setpoints_before_offboard)
 
 # --- what was said
 
@@ -111,10 +101,6 @@ def texts(commands: Sequence[Command]) -> list[str]:
     return [each.text for each in commands if isinstance(each, events.StatusText)]
 
 
-def warnings(commands: Sequence[Command]) -> list[str]:
-    return [c.text for c in commands if isinstance(c, events.StatusText) and c.warning]
-
-
 # --- events
 
 
@@ -129,10 +115,6 @@ def scan_done(time_s: float, *, answered: int = 1, asked: int = 1) -> ScanDone:
         registration_m=0.0,
     )
     return ScanDone(time_s=time_s, scan=scan, asked=asked, answered=answered)
-
-
-def status(time_s: float, mode: Mode = Mode.GUIDED, *, armed: bool = True) -> VehicleStatus:
-    return VehicleStatus(time_s=time_s, mode=mode, armed=armed)
 
 
 def position(
@@ -428,7 +410,8 @@ class Craft:
             found = events.VehicleFound(time_s=now, system_id=1, traits=self.traits, name=name)
             said.append(found)
         if self.is_due(1.0):
-            said.append(replace(status(now, self.mode, armed=self.armed), failsafe=self.failsafe))
+            is_in = {"mode": self.mode, "armed": self.armed, "failsafe": self.failsafe}
+            said.append(events.VehicleStatus(time_s=now, **is_in))
             if self.home_nea_m is not None:
                 said.append(events.Home(time_s=now, position_nea_m=self.home_nea_m))
             if self.battery is not None:
@@ -440,10 +423,14 @@ class Craft:
                 events.Estimator(time_s=now, good=self.estimator),
             ]
         if self.echoes and self.mode is Mode.GUIDED and self.is_due(2.0 * self.tick_s):
-            said.append(events.Echo(time_s=now, position_nea_m=self.goal or self.here))
+            said.append(events.Echo(time_s=now, position_nea_m=self.led_to))
         said += [replace(event, time_s=now) for from_s, event in self.later if from_s <= now]
         self.later = [(from_s, event) for from_s, event in self.later if from_s > now]
         return [*said, *self.says_where()]
+
+    @property
+    def led_to(self) -> Vector:
+        return self.goal or self.here
 
     def says_where(self) -> list[Event]:
         return [position(self.now_s, self.here, self.velocity)]
@@ -524,6 +511,16 @@ def told(craft: Craft, *script: Step) -> Craft:
         else:
             assert step(craft) is not False, (step, craft.phase, craft.state.reason)
     return craft
+
+
+def says(words: str, times: int | None = None) -> Callable[[Craft], bool]:
+    """Whether it has said so, so often, or at all."""
+
+    def check(craft: Craft) -> bool:
+        said = sum(words in text for text in texts(craft.commands))
+        return said > 0 if times is None else said == times
+
+    return check
 
 
 # --- how a test begins

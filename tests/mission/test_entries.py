@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_up import Craft, position, scan_done, status
+from made_up import Craft, position, scan_done
 from made_up_plans import planned
 
 from companion.mission import events, journal
@@ -42,7 +42,8 @@ def test_the_certificate_is_told_whole_and_can_be_made_again_from_the_control_po
 
 def test_what_is_in_the_telemetry_log_is_not_told_again() -> None:
     state = Craft().state
-    for event in (events.Tick(time_s=1.0), status(1.0), position(1.0)):
+    status = events.VehicleStatus(time_s=1.0, mode=events.Mode.GUIDED, armed=True)
+    for event in (events.Tick(time_s=1.0), status, position(1.0)):
         assert journal.of_event(event, state) is None
     told = journal.of_event(scan_done(1.0), state)
     assert told is not None

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made_up import MISSION, position
+from made_up import MISSION, now, position
 from renewed import replace
 
 from companion.mission.events import Landed
@@ -99,35 +99,37 @@ def test_a_position_is_believed_while_it_can_be_true(
 class Track:
     """A vehicle flown level to the east, and what is thought of the positions that it tells."""
 
+    north_m = east_m = time_s = climb_m_s = turn_rad_s = 0.0
+    speed_m_s, course_rad, step_s = 20.0, 0.5 * math.pi, 0.1
+    fix = estimator = True
+    frozen = False
+    """Its position is, its speed is not."""
+
     def __init__(self) -> None:
-        self.vehicle, self.time_s, self.north_m, self.east_m = vehicle(), 0.0, 0.0, 0.0
-        self.speed_m_s, self.climb_m_s, self.step_s = 20.0, 0.0, 0.1
-        self.course_rad, self.turn_rad_s = 0.5 * math.pi, 0.0
+        self.vehicle = vehicle()
 
     @property
     def reason(self) -> Reason | None:
         return distrust(self.vehicle, self.time_s, LIMITS)
 
-    def vouch(self, *, fix: bool = True, estimator: bool = True) -> None:
-        self.vehicle.fix_good, self.vehicle.estimator_good = fix, estimator
-        if not estimator:
-            self.vehicle.estimator_failed_at_s = self.time_s
-
-    def fly(self, seconds: float, *, frozen: bool = False) -> "Track":
-        """frozen: its position is, its speed is not."""
+    def fly(self, seconds: float) -> "Track":
+        vehicle = self.vehicle
+        if vehicle.estimator_good and not self.estimator:
+            vehicle.estimator_failed_at_s = self.time_s
+        vehicle.fix_good, vehicle.estimator_good = self.fix, self.estimator
         for _ in range(round(seconds / self.step_s)):
             middle_rad = self.course_rad + 0.5 * self.step_s * self.turn_rad_s
             self.course_rad += self.step_s * self.turn_rad_s
-            moved_m = 0.0 if frozen else self.step_s * self.speed_m_s
+            moved_m = 0.0 if self.frozen else self.step_s * self.speed_m_s
             self.north_m += moved_m * math.cos(middle_rad)
             self.east_m += moved_m * math.sin(middle_rad)
             self.time_s += self.step_s
-            take_distrust(self.vehicle, self.reason, self.time_s)  # a gap is seen before it ends
+            take_distrust(vehicle, self.reason, self.time_s)  # a gap is seen before it ends
             north, east = math.cos(self.course_rad), math.sin(self.course_rad)
             velocity = (self.speed_m_s * north, self.speed_m_s * east, self.climb_m_s)
             here = (self.north_m, self.east_m, 3000.0 + self.climb_m_s * self.time_s)
-            take_position(self.vehicle, position(self.time_s, here, velocity), LIMITS)
-            take_distrust(self.vehicle, self.reason, self.time_s)
+            take_position(vehicle, position(self.time_s, here, velocity), LIMITS)
+            take_distrust(vehicle, self.reason, self.time_s)
         return self
 
 
@@ -150,26 +152,20 @@ def test_a_flight_within_the_limits_is_always_believed(
 # --- after a loss or a glitch
 
 
-Happening = float | Callable[[Track], object]
+Happening = float | Callable[[Any], object]
 
 
-def jumps(north_m: float) -> Callable[[Track], None]:
+def jumps(north_m: float) -> Callable[[Track], object]:
     return lambda track: setattr(track, "north_m", track.north_m + north_m)
 
 
-def speaks(**says: bool) -> Callable[[Track], object]:
-    """What vouches for its position says so, or does not."""
-    return lambda track: track.vouch(**says)
-
-
 def unseen(track: Track) -> None:
-    """For ten seconds; in them it flies to where it can."""
+    """For ten seconds."""
     track.time_s += 10.0
-    track.east_m += 900.0  # V is 150 m/s
 
 
-def frozen(track: Track) -> None:
-    track.fly(10.0, frozen=True)
+def flies_on(track: Track) -> None:
+    """To where it can in ten seconds, unseen: V is 150 m/s."""
     track.east_m += 900.0
 
 
@@ -177,12 +173,11 @@ def landed(track: Track) -> None:
     track.vehicle.landed, track.speed_m_s = Landed.ON_GROUND, 0.0
 
 
-def circles(track: Track) -> None:
-    """A plane at 20 m/s with a radius of 80 m, which tells its position 2.5 times a second."""
-    track.turn_rad_s, track.step_s = 0.25, 0.4
-
-
-doubted, lost, vouched = speaks(estimator=False), speaks(fix=False, estimator=False), speaks()
+doubted, lost = now(estimator=False), now(fix=False, estimator=False)
+vouched = now(fix=True, estimator=True)
+frozen, thawed = now(frozen=True), now(frozen=False)
+circles = now(turn_rad_s=0.25, step_s=0.4)
+"""A plane at 20 m/s with a radius of 80 m, which tells its position 2.5 times a second."""
 GLITCH: tuple[Happening, ...] = (doubted, 10.0, jumps(50.0), 10.0, vouched)
 """What estimators give in to."""
 
@@ -202,8 +197,8 @@ GLITCH: tuple[Happening, ...] = (doubted, 10.0, jumps(50.0), 10.0, vouched)
         ((lost, 9.9, jumps(12.0), 0.1, vouched, 1.0), True),
         ((lost, 30.9, jumps(31.0), 0.1, vouched, 1.0), True),
         # unseen it may have flown as far as it can; on the ground it may jump
-        ((unseen, 1.0), True),
-        ((frozen, 1.0), True),
+        ((unseen, flies_on, 1.0), True),
+        ((frozen, 10.0, thawed, flies_on, 1.0), True),
         ((landed, 10.0, jumps(50.0), 1.0), True),
         ((circles, doubted, 120.0, vouched, 0.8), True),  # what is flown meanwhile
     ],

@@ -9,7 +9,9 @@ from made_up import (
     AWAY,
     EACH,
     HOME_AMSL_M,
+    MOVING,
     PLANES,
+    SPEED_M_S,
     Craft,
     calm,
     flying,
@@ -24,26 +26,18 @@ from renewed import replace
 from companion.mavlink.autopilots import PX4_FIXED_WING
 from companion.mission import checkpoint, events, stopped
 from companion.mission.decisions import Context
-from companion.mission.events import (
-    Arm,
-    Landed,
-    Mode,
-    OrderKind,
-    Outcome,
-    SetMode,
-    Setpoint,
-    TakeOff,
-)
+from companion.mission.events import Landed, Mode, OrderKind, Outcome, SetMode, Setpoint
 from companion.mission.mission import EndAction
 from companion.mission.phases import Phase, Reason
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
+from companion.planner.procedure import Reference
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.world.zones import CircleZone
 
 FIRST = {
-    TakeoffSequence.GUIDED_THEN_CLIMB: [SetMode, Arm, TakeOff],
-    TakeoffSequence.MODE_THEN_ARM: [SetMode, Arm],
-    TakeoffSequence.CLIMB_THEN_ARM: [TakeOff, Arm],
+    TakeoffSequence.GUIDED_THEN_CLIMB: [SetMode, events.Arm, events.TakeOff],
+    TakeoffSequence.MODE_THEN_ARM: [SetMode, events.Arm],
+    TakeoffSequence.CLIMB_THEN_ARM: [events.TakeOff, events.Arm],
 }
 
 
@@ -58,7 +52,11 @@ def test_a_mission_is_sent_up_arrives_and_ends_as_it_should_and_keeps_the_setpoi
     traits: VehicleTraits, end: EndAction
 ) -> None:
     craft = led(traits, end_action=end)
-    told = [type(c) for c in craft.commands if isinstance(c, SetMode | Arm | TakeOff | Setpoint)]
+    told = [
+        type(c)
+        for c in craft.commands
+        if isinstance(c, MOVING) and not isinstance(c, events.SetSpeed)
+    ]
     told = told[: told.index(Setpoint)]
     guided = traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB
     assert list(dict.fromkeys(told)) == FIRST[traits.take_off]
@@ -113,7 +111,7 @@ def test_a_vehicle_that_flies_already_is_taken_over_once_somebody_selects_guided
     if traits.hovers:
         assert max(b - a for a, b in pairwise(heights)) <= task.limits.climb_rate_m_s + 1e-6
     assert outcome_of(craft) is Outcome.ARRIVED
-    assert not craft.sent(Arm) + craft.sent(TakeOff)
+    assert not craft.sent(events.Arm) + craft.sent(events.TakeOff)
 
 
 # --- restarts
@@ -142,16 +140,19 @@ def test_a_restart_at_any_moment_of_a_flight_goes_on_without_a_jump(
 
 
 def test_what_is_restored_is_what_was_kept() -> None:
-    """Under a fence, too."""
+    """Under a fence, too; and where its leg is left, if that is earlier than without asking."""
     craft = flying(AWAY)
     zone = CircleZone(name="drawn", north_m=4_000.0, east_m=-4_000.0, radius_m=500.0)
     craft.take(events.FenceChanged(time_s=craft.now_s, zones=(zone,)))
     craft.run_until(lambda craft: craft.state.flight.legs_flown == 2)
+    asked = Reference(length_m=0.4 * craft.state.leg.successor_at_m, speed_m_s=0.6 * SPEED_M_S)
+    craft.state.path.leg = replace(craft.state.leg, p_prog=asked)
     kept = checkpoint.values_of(craft.state)
     values = json.loads(json.dumps(kept))
     state = checkpoint.restored(craft.context.mission, craft.state.flight.known, values)
     assert checkpoint.values_of(state) == {**kept, "phase": Phase.WAITING.name}
     assert state.task == craft.state.task
+    assert (state.leg.p_prog, state.leg.successor_at_m) == (asked, asked.length_m)
     assert state.airborne
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from made_up import AWAY, SPEED_M_S, Craft, Step, flying, hears, home_or_on, now, texts, told
+from made_up import AWAY, Craft, Step, flying, hears, home_or_on, now, says, told
 from renewed import deep, replace
 from watch import off_m
 
@@ -14,7 +14,6 @@ from companion.mission.decisions import Turn
 from companion.mission.events import GroundSeen, NearSeen, Setpoint
 from companion.mission.mission import Fallback
 from companion.mission.phases import Phase, Reason
-from companion.planner.procedure import Reference
 from companion.planner.request import NotPlanned, PlanOutcome, PlanRequest, Refusal
 from companion.world.known_map import Lattice
 from companion.world.near_map import NearMap, NearSensor, Sight
@@ -47,11 +46,6 @@ def sees(sight: Sight = Sight.SEES, *things_m: tuple[float, float], **fields: fl
     return see
 
 
-def says(reason: Reason | str, times: int = 1) -> Step:
-    words = reason.text if isinstance(reason, Reason) else reason
-    return lambda craft: sum(t.startswith(words) for t in texts(craft.commands)) == times
-
-
 def is_to_stop(reason: Reason | None) -> Callable[[Craft], bool]:
     def check(craft: Craft) -> bool:
         stop = craft.state.path.stop
@@ -76,7 +70,7 @@ NEARER, AS_MAPPED = hears(GroundSeen, above_m=5.0), hears(GroundSeen, above_m=0.
 def test_what_is_not_seen_or_nearer_stops_it_on_its_path_until_that_is_over(
     wrong: Step, well: Step, reason: Reason
 ) -> None:
-    craft = told(flying(MISSION), well, is_to_stop(None), wrong, wrong, says(reason))
+    craft = told(flying(MISSION), well, is_to_stop(None), wrong, wrong, says(reason.text, 1))
     path, reference, before = craft.state.path, craft.state.reference, len(craft.sent(Setpoint))
     told(craft, Phase.HOLDING, reason)
     brakes_m = 0.5 * reference.speed_m_s**2 / LIMITS.acceleration_m_s2
@@ -108,9 +102,9 @@ SEEN: dict[str, tuple[Step, ...]] = {
     "nothing any more": (sees(Sight.NOTHING_THERE), is_to_stop(None)),
     "in its way": (THING, is_to_stop(Reason.NEW_THREAT), THING, Phase.HOLDING, Reason.NEW_THREAT),
     "in its way, stopping blind": (DEAD, is_to_stop(Reason.SENSOR_SILENT), THING,
-        is_to_stop(Reason.NEW_THREAT), says(Reason.SENSOR_SILENT), Phase.HOLDING),
+        is_to_stop(Reason.NEW_THREAT), says(Reason.SENSOR_SILENT.text, 1), Phase.HOLDING),
     "less than R": (*(sees(sees_m=sees_m) for sees_m in (10_000.0, 20_000.0, 10_000.0)),
-        says("sensor sees 10000 m of R = 20000 m")),
+        says("sensor sees 10000 m of R = 20000 m", 1)),
 }  # fmt: skip
 
 
@@ -138,16 +132,6 @@ def test_where_it_is_better_to_turn_back_it_stops_on_its_leg_and_plans_from_ther
     assert math.dist(craft.here, leg.subpath.pose(stop_m).point_nea_m) < 15.0
     assert (craft.state.reason, craft.state.flight.stops) == (Reason.NO_PLAN, 1)
     told(craft, Phase.FLYING, Phase.ARRIVED)
-
-
-def test_where_its_leg_is_left_is_known_after_a_restart() -> None:
-    """Also if that is earlier than it would be without asking so soon."""
-    craft = flying(MISSION)
-    path = craft.state.path
-    asked = Reference(length_m=0.4 * path.leg.successor_at_m, speed_m_s=0.6 * SPEED_M_S)
-    path.leg = replace(path.leg, p_prog=asked)
-    leg = craft.restart().state.leg
-    assert (leg.p_prog, leg.successor_at_m) == (asked, asked.length_m)
 
 
 def test_a_copter_behind_its_reference_stops_as_far_from_where_it_is_itself() -> None:

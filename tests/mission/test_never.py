@@ -15,16 +15,11 @@ from watch import Watch
 from wild import Wild
 
 from companion.mavlink.autopilots import ALL
-from companion.mission import events
 from companion.mission.phases import Phase
 
 SHARDS, EVENTS = 60, 20_000
 LONGEST = 6_000
 """Events of one program."""
-SAID = {
-    *(events.Arm, events.TakeOff, events.SetMode, events.Setpoint, events.SetSpeed),
-    *(events.RequestStreams, events.StartScan, events.Plan, events.StatusText, events.End),
-}
 
 
 def shard(number: int, events: int = EVENTS) -> list[Watch]:
@@ -50,11 +45,9 @@ def test_nothing_happens_that_must_never_happen(number: int) -> None:
 
 
 @pytest.mark.nightly
-def test_the_programs_are_of_all_drivings_and_come_to_every_phase_and_command() -> None:
+def test_the_programs_are_of_all_drivings_come_to_every_phase_and_have_orders_to_keep() -> None:
     watches = shard(SHARDS + 5, 400_000)
     assert {watch.traits.name for watch in watches} == {each.traits.name for each in ALL}
     assert {watch.context.shadow for watch in watches} == {True, False}
-    assert sum(watch.orders.kept > 0 for watch in watches) > 10
+    assert sum(watch.kept > 0 for watch in watches) > 10
     assert set().union(*(watch.phases for watch in watches)) == set(Phase)
-    assert set().union(*(watch.commands for watch in watches)) >= SAID
-    assert len(set().union(*(watch.reasons for watch in watches))) > 12

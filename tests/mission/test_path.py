@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from made_up import (
     AWAY,
     MISSION,
@@ -20,9 +22,7 @@ from made_up import (
     Craft,
     flying,
     led,
-    now,
     position,
-    told,
 )
 from made_up_plans import LEG_M
 from renewed import deep, replace
@@ -91,20 +91,6 @@ def test_setpoints_lead_along_the_leg_nose_ahead_to_rest_at_its_target() -> None
         assert setpoint.yaw_rad == pytest.approx(math.pi / 4, abs=0.02)  # at its target, too
     assert setpoints[-1].velocity_nea_m_s == (0.0, 0.0, 0.0)
     np.testing.assert_allclose(setpoints[-1].position_nea_m[:2], (20_000.0, 20_000.0), atol=1.0)
-
-
-def test_the_reference_waits_for_a_vehicle_that_falls_behind_and_goes_on_when_it_follows() -> None:
-    craft = told(flying(), now(follows=False, velocity=(0.5, 0.5, 0.0)))
-    ahead = [s for _ in range(100) for s in craft.tick() if isinstance(s, Setpoint)]
-    leads = [math.dist(s.position_nea_m, craft.here) for s in ahead]
-    assert max(leads) <= SPEED_M_S * 1.0 + SPEED_M_S * TICK_S
-    assert ahead[-1].velocity_nea_m_s == (0.0, 0.0, 0.0)
-    while math.dist(craft.here, craft.sent(Setpoint)[-1].position_nea_m) > 4.5:  # it catches up
-        craft.drift((30.0, 30.0, 0.0))
-        craft.tick()
-    craft.follows = True
-    assert math.hypot(*craft.run_for(70.0).velocity) == pytest.approx(SPEED_M_S)
-    assert Phase.HOLDING not in craft.phases
 
 
 def test_a_position_that_was_overtaken_or_comes_twice_changes_nothing() -> None:
@@ -279,50 +265,46 @@ def test_who_joins_a_path_near_its_end_comes_to_rest_without_a_jump(
     assert math.hypot(*sent[-1].velocity_nea_m_s) < 0.1
 
 
-@pytest.mark.parametrize(
-    ("age_s", "pace", "stands"),
-    [(0.0, 1.0, False), (0.1, 1.0, False), (0.4, 1.0, False), (0.4, 0.6, True)],
+@given(
+    share=st.floats(0.05, 0.95),
+    on_next=st.booleans(),
+    pace=st.floats(0.1, 1.0),
+    says=st.none() | st.tuples(st.floats(0.0, 0.9), st.sampled_from([None, 0.0, 0.7])),
 )
-def test_it_goes_on_where_the_autopilots_target_has_moved_since_it_was_told(
-    age_s: float, pace: float, stands: bool
+def test_who_is_found_on_either_of_two_legs_is_led_on_from_where_its_autopilot_leads_it(
+    share: float, on_next: bool, pace: float, says: Any
 ) -> None:
-    """Age and speed of the target, of V; from one that stands as slowly as the target."""
-    state, flown_m = cruising().state, age_s * SPEED_M_S
-    curve, ahead_m = state.leg.subpath, 0.6 * SPEED_M_S if stands else 0.0
-    echo = events.Echo(
-        time_s=state.now_s - age_s,
-        position_nea_m=curve.pose(1_000.0 if stands else 1_000.0 - flown_m).point_nea_m,
-        velocity_nea_m_s=(0.0, 0.0, 0.0) if stands else None,
-    )
-    at = curve.pose(1_000.0 - ahead_m)
-    velocity = tuple((pace * SPEED_M_S * at.tangent_nea).tolist())
-    path = joined(told_nothing(state, at.point_nea_m, velocity, echo), state.path)
-    assert path is not None
-    assert path.reference.length_m == pytest.approx(1_000.0, abs=0.01 if stands else 0.1)
-    if stands:
-        assert path.reference.speed_m_s == 0.0
-        assert np.linalg.norm(path.offset.velocity_nea_m_s) == 0.0
+    """It says how long ago that was where, and with which velocity; or that is where it is.
 
-
-@pytest.mark.parametrize("share", [0.2, 0.8])
-def test_who_is_found_on_either_of_two_legs_rejoins_that_one_and_has_flown_the_other(
-    share: float,
-) -> None:
-    """The next leg turns off to the right from p_prog of this one."""
+    The next leg turns off to the right from p_prog of the first, which has been flown then.
+    """
     state, path = cruising().state, deep(cruising().state).path
     over_at_m = path.leg.successor_at_m
     begins = path.leg.subpath.pose(over_at_m).position_nea_m
     aside = begins + np.linspace(0.0, LEG_M, 4)[:, None] * np.array(ASIDE)
     path.next_leg = replace(path.leg, subpath=Subpath(control_nea_m=aside))
-    for leg, at_m in ((path.leg, share * over_at_m), (path.next_leg, share * LEG_M)):
-        at = leg.subpath.pose(at_m).point_nea_m
-        found = told_nothing(state, at, state.vehicle.velocity_nea_m_s)
-        goes_on = joined(found, path)
-        assert goes_on is not None
-        assert goes_on.leg is leg
-        assert goes_on.reference.length_m == pytest.approx(at_m, abs=0.1)
-        flown = [segment.until_m for segment in found.flight.flown[len(state.flight.flown) :]]
-        assert flown == pytest.approx([at_m] if leg is path.leg else [over_at_m, at_m])
+    leg, length_m = (path.next_leg, LEG_M) if on_next else (path.leg, over_at_m)
+    at, echo = leg.subpath.pose(share * length_m), None
+    there = here = at.position_nea_m + np.multiply(UP, 0.8 * ERROR_M)
+    flies = leads = pace * SPEED_M_S * at.tangent_nea
+    if says is not None:
+        (age_s, of_that), here = says, there - 30.0 * at.tangent_nea
+        leads = flies if of_that is None else of_that * flies
+        was, told = tuple((there - age_s * leads).tolist()), tuple(leads.tolist())
+        told = None if of_that is None else told
+        echo = events.Echo(time_s=state.now_s - age_s, position_nea_m=was, velocity_nea_m_s=told)
+    found = told_nothing(state, tuple(here.tolist()), tuple(flies.tolist()), echo)
+    path = joined(found, path)
+    assert path is not None
+    assert path.leg is leg
+    at_m, speed_m_s, offset = path.reference.length_m, path.reference.speed_m_s, path.offset
+    pose = leg.subpath.pose(at_m)
+    np.testing.assert_allclose(pose.position_nea_m + offset.position_nea_m, there, atol=1e-6)
+    leads_with = speed_m_s * pose.tangent_nea + offset.velocity_nea_m_s
+    np.testing.assert_allclose(leads_with, leads, atol=1e-6)
+    assert at_m == pytest.approx(share * length_m, abs=0.1)
+    flown = [segment.until_m for segment in found.flight.flown[len(state.flight.flown) :]]
+    assert flown == pytest.approx([over_at_m, at_m] if on_next else [at_m])
 
 
 @PLANES

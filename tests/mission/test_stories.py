@@ -28,9 +28,9 @@ from made_up import (
     now,
     only_the_first,
     order_of,
+    says,
     texts,
     told,
-    warnings,
 )
 from made_up_plans import not_planned, planned, straight
 from renewed import replace
@@ -43,6 +43,7 @@ from companion.mission.mission import EndAction, Fallback, Mission
 from companion.mission.phases import Phase, Reason
 from companion.mission.stopped import FAILSAFE_OVER
 from companion.planner.request import NotPlanned, PlanOutcome, PlanRequest, Refusal
+from companion.world.zones import CircleZone
 
 PAUSE, CONTINUE, RETURN = OrderKind.PAUSE, OrderKind.CONTINUE, OrderKind.RETURN
 START, LANDS = OrderKind.START, OrderKind.LAND
@@ -104,18 +105,6 @@ def no_way_on(craft: Craft) -> None:
     craft.plan = lambda r: not_planned(r) if r.target_ne_m == there else plan(r)
 
 
-def only_not_the_second(request: PlanRequest) -> PlanOutcome:
-    return not_planned(request) if request.plan_id == 2 else planned(request)
-
-
-def only_the_first_in_time(request: PlanRequest) -> PlanOutcome | None:
-    return planned(request) if request.plan_id == 1 else None
-
-
-def only_back(request: PlanRequest) -> PlanOutcome:
-    return not_planned(request) if request.flown is None else home_or_on(request)
-
-
 def back_by(share: float) -> Callable[[PlanRequest], PlanOutcome]:
     """So much of the way back is proven, and no way home from there."""
 
@@ -158,6 +147,31 @@ def is_found(aside_m: float) -> Callable[[Craft], None]:
     return lambda craft: setattr(craft, "here", (craft.here[0] + aside_m, *craft.here[1:]))
 
 
+def drains(craft: Craft) -> None:
+    craft.context = Context(mission=replace(NEAR, endurance_s=600.0), seed=1)
+    craft.battery = 0.1
+
+
+def fence_on_its_way_back(craft: Craft) -> None:
+    north, east, _ = craft.here
+    zone = CircleZone(name="z", north_m=0.5 * north, east_m=0.5 * east, radius_m=100.0)
+    craft.hear(events.FenceChanged(time_s=craft.now_s, zones=(zone,)))
+
+
+AROUND = CircleZone(name="z", north_m=0.0, east_m=0.0, radius_m=100.0)
+CHECK = {"item": events.Item.CHECKS, "refusal": "signing: none", "remedy": "x"}
+PARAMETER = {"item": events.Item.PARAMETERS, "refusal": "GUID_OPTIONS = 16"}
+LOSSES: dict[str, Callable[[Craft], object]] = {
+    Reason.NO_FIX.text: now(fix=False),
+    Reason.LINK_LOST.text: hears(events.LinkLost, silent_s=3.0),
+    Reason.BATTERY_SHORT.text: drains,
+    Reason.POSITION_JUMPED.text: now(here=(1e6, 0.0, HOME_AMSL_M)),
+    Reason.OUTSIDE.text: hears(events.FenceChanged, zones=(AROUND,)),
+    "signing: none": hears(events.Prepared, **CHECK),
+    "GUID_OPTIONS = 16": hears(events.Prepared, **PARAMETER),
+    Reason.NO_TARGETS.text: hears(events.TargetsChanged, targets_ne_m=()),
+}
+"""What may be lost while it waits for go, by what is said of it."""
 NAMESAKE = hears(events.DuplicateId, certain=True, news=True)
 GOES_ON = hears(events.DuplicateId, certain=True, news=False)
 LOSES_LINK = hears(events.LinkLost, silent_s=30.0)
@@ -211,6 +225,11 @@ def is_led_level(craft: Craft) -> bool:
     return heights == {round(craft.here[2])} and craft.here[2] > HOME_AMSL_M
 
 
+def is_led(craft: Craft) -> bool:
+    """In guided mode silence is a lost stream."""
+    return any(isinstance(command, Setpoint) for command in craft.during(2.0))
+
+
 def modes(craft: Craft) -> list[Mode]:
     """All that it was asked for."""
     return [each.mode for each in craft.sent(events.SetMode)]
@@ -256,16 +275,6 @@ def is_led_nowhere(craft: Craft) -> bool:
     return not [c for c in craft.during(30.0) if isinstance(c, Setpoint | events.Plan)]
 
 
-def says(words: str, times: int | None = None) -> Callable[[Craft], bool]:
-    """So often; or at all."""
-
-    def check(craft: Craft) -> bool:
-        said = sum(words in text for text in texts(craft.commands))
-        return said > 0 if times is None else said == times
-
-    return check
-
-
 def refuses(kind: OrderKind, why: str) -> Callable[[Craft], bool]:
     """Such an order, for now, and says why."""
 
@@ -279,16 +288,12 @@ def refuses(kind: OrderKind, why: str) -> Callable[[Craft], bool]:
 
 LEFT_ALONE = is_left_alone_for(150.0)
 IS_PAUSED, UNREAD = holds_for(Reason.PAUSED), holds_for(Reason.FENCE_UNREAD)
-BACK, PLANS = says(": flying back, then home"), says(": planning a way home")
+BACK = says(": flying back, then home")
 EMPTY_ONCE = (hears(events.Battery, remaining=0.0), 2.0, hears(events.Battery, remaining=0.0), 2.5)
 NO_PAUSE = refuses(PAUSE, f"pause refused: {Reason.BATTERY_LOW.text}")
 FALLS_BACK = (
     *(Reason.BATTERY_LOW, says(f"hold: {Reason.BATTERY_LOW.text}"), DONE),
     lambda it: it.end().outcome is Outcome.FAILED,
-)
-RETURNS_AGAIN = (
-    *(PAUSE, 2.0, CONTINUE, DONE, at_its_start),
-    lambda it: it.end().reason == f"landed: {Reason.RETURN_ASKED.text}",
 )
 TAKES_OFF = until(lambda craft: craft.sent(events.TakeOff))
 ASKS_BACK = until(lambda craft: getattr(craft.state.stage, "backtrack", None))
@@ -330,10 +335,9 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         RETURN, RETURNING, 10.0, LOW, 5.0, says(Reason.BATTERY_LOW.text), NO_PAUSE, DONE, is_down),
     # home is where the vehicle has it, and not where it was taken over
     "told to return": (taken_over, LED_ON, RETURN, DONE, is_home, BACK),
-    "low": (taken_over, LED_ON, LOW, DONE, is_home, BACK),
     "no way on": (taken_over, LED_ON, no_way_on, DONE, is_home, BACK),
-    "told to return at once": (taken_over, TAKES_OVER, RETURN, DONE, is_home, PLANS),
-    "no way on from the beginning": (taken_over, no_way_on, DONE, is_home, PLANS),
+    "told to return at once": (taken_over, TAKES_OVER, RETURN, DONE, is_home,
+        says(": planning a way home")),
     "at the last target": (lambda: taken_over(replace(NEAR, end_action=EndAction.RETURN)),
         DONE, is_home, arrives),
     "from where nothing leads away": (taken_over,
@@ -359,20 +363,24 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         30.0, again, now(mode=found), 20.0, RETURN, ASKS_BACK, asks_for_the_whole_way)
         for again in (Craft.restart, Craft.reboot) for found in (Mode.GUIDED, Mode.HOLD)},
     # a pause gives back what it broke off
-    "a return paused at once": (under_way(), RETURN, *RETURNS_AGAIN),
-    "a return paused on its way": (under_way(), RETURN, 20.0, *RETURNS_AGAIN),
+    "a return paused at once": (under_way(),
+        RETURN, PAUSE, 2.0, CONTINUE, DONE, at_its_start,
+        ends_as(Outcome.STOPPED, f"landed: {Reason.RETURN_ASKED.text}")),
     "a return paused before its answer": (under_way(), *PAUSED_BEFORE, answered, *STAYS_PAUSED),
     "a return paused, and a restart": (under_way(), *PAUSED_BEFORE, Craft.restart, *STAYS_PAUSED),
     "a return for want of plans, paused": (under_way(fallback=Fallback.RETURN),
-        now(plan=only_back), RETURNING, 10.0, PAUSE, 1.0, CONTINUE, DONE, at_its_start),
+        now(plan=lambda r: not_planned(r) if r.flown is None else home_or_on(r)),
+        RETURNING, 10.0, PAUSE, 1.0, CONTINUE, DONE, at_its_start),
     # plans, links, restarts and reboots
     "there is no plan at all": (lambda: Craft(plan=not_planned),
         DONE, is_down, lambda it: [p.request.attempt for p in it.sent(events.Plan)] == [0, 1, 2, 3],
         says(f"{Reason.NO_PLAN.text}: it broke floor")),
-    "a plan is late": (lambda: flying(AWAY, plan=only_the_first_in_time),
+    "a plan is late": (
+        lambda: flying(AWAY, plan=lambda r: planned(r) if r.plan_id == 1 else None),
         until(lambda it: len(it.sent(events.Plan)) == 2), 6.0, hears(events.PlanLate, plan_id=2),
         is_flying, HOLDING, holds_for(Reason.PLAN_LATE)),
-    "a second try succeeds": (lambda: flying(AWAY, plan=only_not_the_second),
+    "a second try succeeds": (
+        lambda: flying(AWAY, plan=lambda r: not_planned(r) if r.plan_id == 2 else planned(r)),
         HOLDING, DONE, arrives),
     "the radar is silent over land that nobody knows": (lambda: flying(plan=only_the_first),
         now(answered=0), HOLDING, Reason.RADAR_SILENT, DONE,
@@ -413,7 +421,6 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         until(lambda it: it.armed), without_go, Craft.restart, DONE,
         lambda it: it.state.reason is Reason.NOT_READY and not it.sent(events.TakeOff),
         lambda it: len(it.sent(events.Disarm)) > 0),
-    "a restart in its landing": (landing_begun, Craft.restart, DONE, is_down),
     "a reboot in its landing": (landing_begun, Craft.reboot, DONE, is_down),
     "a landing asked for in vain": (lambda: arrived(LAND),
         now(obeys_modes=False), LANDING, now(mode=Mode.GUIDED), 5.0,
@@ -474,7 +481,6 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "told to land": (under_way(),
         5.0, LANDS, is_flying, LANDING, lambda it: math.hypot(*it.velocity) < 0.5, DONE, is_down,
         lambda it: it.end().reason == "landed: told to land"),
-    "told to land without a position": (holding_without_fix, LANDS, LANDING),
     # a fence that has changed is held for until it is read
     "a fence is changed": (under_way(),
         FENCE_CHANGES, says("reading 5,010 items"), HOLDING, 153.0, UNREAD,
@@ -491,11 +497,12 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         FENCE_CHANGES, says("reading 5,010 items"), 10.0, is_flying),
     "low, it does not wait for a fence": (under_way(),
         LOW, Reason.BATTERY_LOW, FENCE_CHANGES, 60.0, lambda it: it.phase is not HOLDING),
+    "a fence on its way back in a pause": (under_way(),
+        RETURN, RETURNING, 10.0, PAUSE, HOLDING, fence_on_its_way_back, is_led, IS_PAUSED),
     # who says go, and to what
     "it is ready for as long as it takes": (ready,
         200.0, told_nothing, says("waits for go", 1), START, Phase.TAKING_OFF,
         lambda it: len(it.sent(events.Arm)) > 0),
-    "go was said": (lambda: Craft(NEAR), Phase.ARMING, lambda it: not says("waits for go")(it)),
     "its parameters are refused": (preparing,
         hears(events.Prepared, item=events.Item.PARAMETERS, refusal="A = 1", remedy="Set it."),
         DONE, lambda it: it.end().reason == f"{Reason.REFUSED.text}: A = 1",
@@ -506,6 +513,11 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "what is mended is ready again once it has been checked": (ready,
         now(fix=False), 20.0, now(fix=True), 2.0, lambda it: it.phase is PREPARING,
         hears(events.Prepared, item=events.Item.CHECKS), READY, START),
+    **{f"ready, and then {why}": (ready,
+        happens, PREPARING, says(f"not ready any more: {why}"), refuses(START, why), 200.0,
+        lambda it: it.phase is PREPARING and len(it.sent(events.RequestStreams)) == 1,
+        told_nothing)
+        for why, happens in LOSSES.items()},
     "somebody arms it after a reboot, and keeps it": (lambda: Craft().fly_to(Phase.ARMING),
         until(lambda it: it.state.armed_by_us), Craft.reboot, now(armed=True, mode=Mode.OTHER),
         LEFT_ALONE, DONE, ends(Reason.ARMED_ALREADY)),
@@ -521,7 +533,6 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         NAMESAKE, *20 * (1.0, GOES_ON), says(f"{Reason.NOT_ALONE.text}: end it", 1),
         DONE, arrives),
     # it is stopped
-    "stopped before it was told anything": (Craft, hears(events.StopAsked), DONE, told_nothing),
     "stopped in a landing for want of plans": (
         lambda: Craft(replace(NEAR, fallback=Fallback.LAND), plan=closed_in),
         LANDING, hears(events.StopAsked), DONE, ends(Reason.STOPPED)),
@@ -610,7 +621,7 @@ def test_a_hold_for_want_of_a_plan_says_why_and_the_end_what_helps(refusal: Refu
     end = told(craft, LANDING, Craft.restart, DONE).end()
     why, _, remedy = refusal.value.partition("; ")
     said = Reason.NO_PLAN.text + (f": {why}" if refusal is not Refusal.NOTHING_SAFE else "")
-    assert f"hold: {said}" in warnings(craft.commands)
+    assert next(c.warning for c in craft.sent(events.StatusText) if c.text == f"hold: {said}")
     assert (end.outcome, end.reason) == (Outcome.FAILED, f"landed: {said}")
     assert end.remedy.lower() == f"{remedy}.".lower() != Reason.NO_PLAN.remedy.lower()
 

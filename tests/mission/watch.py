@@ -18,10 +18,8 @@ from companion.mavlink.autopilots.messages import To
 from companion.mission import events
 from companion.mission.decisions import Context
 from companion.mission.events import Command, Event, Landed, Mode, OrderKind, Position, Setpoint
-from companion.mission.mission import Mission
 from companion.mission.phases import Phase, Reason, Trigger
 from companion.mission.state import Goal, State
-from companion.mission.vehicle_traits import VehicleTraits
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Leg
 from companion.planner.request import Backtrack, Planned, PlanOutcome
@@ -40,38 +38,31 @@ SETS_OUT = (Phase.FLYING, Phase.RETURNING)
 SHORT_S, AT_ONCE_S = 3.0, 2.0
 STOPS_S = 45.0  # braking, with a vehicle that may be stuck for 30 s
 ON_SETPOINTS = (
-    Reason.NO_PLAN,
-    Reason.PLAN_LATE,
-    Reason.RADAR_SILENT,
-    Reason.NEW_THREAT,
-    Reason.NEW_TARGET,
-    Reason.CONTINUED,
-    Reason.RETURN_ASKED,
-    Reason.LAND_ASKED,
-    Reason.BATTERY_LOW,
+    *(Reason.NO_PLAN, Reason.PLAN_LATE, Reason.RADAR_SILENT, Reason.NEW_THREAT, Reason.NEW_TARGET),
+    *(Reason.CONTINUED, Reason.RETURN_ASKED, Reason.LAND_ASKED, Reason.BATTERY_LOW),
 )
+PROGRESS = (Phase.FLYING, Phase.RETURNING, Phase.LANDING)
+"""They may last for as long as something moves."""
 
 
 class Watch:
     """Sees every step of one program; AssertionError where a law is broken."""
 
-    def __init__(
-        self, mission: Mission, traits: VehicleTraits, autopilot: Autopilot, context: Context
-    ) -> None:
-        self.mission, self.traits, self.context = mission, traits, context
-        self.autopilot = autopilot
-        self.limits = mission.task.limits
+    def __init__(self, autopilot: Autopilot, context: Context) -> None:
+        self.autopilot, self.traits, self.context = autopilot, autopilot.traits, context
+        self.mission = context.mission
+        self.limits = self.mission.task.limits
         self.phases: set[Phase] = set()
-        self.reasons: set[Reason] = set()
-        self.commands: set[type[Any]] = set()
         self.proven: set[bytes] = set()
         """Control points of the paths that may be flown."""
         self.newest = 0
         self.flown = False
         """Whether it was ever heard to be armed and in the air."""
-        self.orders = WatchOrders(mission)
-        self.setpoints = 0
-        self.forget(0.0)
+        self.setpoints = self.kept = 0
+        """How many were seen, and how often there was an order to keep to."""
+        self.goals = set(self.mission.targets_ne_m)
+        """Where anybody ever wanted it to fly to; home is not among them."""
+        self.restarted(0.0, forgotten=True)
 
     def forget(self, now_s: float) -> None:
         """Nothing is known of the vehicle (any more)."""
@@ -94,7 +85,11 @@ class Watch:
         forgotten: without even that.
         """
         self.forget(now_s)
-        self.orders.forgotten() if forgotten else self.orders.restarted()
+        self.short_at_s = math.inf
+        if forgotten:
+            self.paused = self.returns = self.lands = False
+            self.orders = self.orders_when_asked = 0
+            self.battery_at_s = 0.0
 
     # --- one step
 
@@ -107,11 +102,8 @@ class Watch:
         now = after.now_s
         assert now == max(before.now_s, event.time_s), "time went back"
         self.phases.add(after.phase)
-        if after.reason is not None:
-            self.reasons.add(after.reason)
         self._moves(before, after, commands)
         for command in commands:
-            self.commands.add(type(command))
             if isinstance(command, MOVING):
                 assert not self.context.shadow, f"told a vehicle it only watches: {command}"
                 self._whose(before, after, command)
@@ -129,7 +121,7 @@ class Watch:
         assert sum(isinstance(command, Setpoint) for command in commands) <= 1
         self._legs(before, event, after)
         if not self.context.shadow:
-            self.orders.saw(before, event, after, commands)
+            self._orders(before, event, after, commands)
         self._deadlines(before, event, after, commands)
 
     def _hear(self, event: Event) -> bool:
@@ -306,8 +298,8 @@ class Watch:
             return
         assert self.position is not None
         apart_m = math.dist(self.position.position_nea_m[:2], self.last.position_nea_m[:2])
-        near_m = 5.0 if self.traits.hovers else self.limits.loiter_radius_m
-        near_m += 0.0 if self.traits.hovers else self.limits.tracking_error_m
+        on_circle_m = self.limits.loiter_radius_m + self.limits.tracking_error_m
+        near_m = 5.0 if self.traits.hovers else on_circle_m
         assert apart_m <= near_m + 1e-5, f"looks for a leg from a place {apart_m:.0f} m away"
 
     def _up(self, before: State, command: events.Arm | events.TakeOff) -> None:
@@ -336,7 +328,7 @@ class Watch:
         elif now - before.now_s > 0.5:  # no event, no word
             self.spoke_at_s = min(self.spoke_at_s + now - before.now_s, now)
         limit_s = self._limit_s(after)
-        waited_s = now - (self.progress_at_s if after.phase in _PROGRESS else self.since_s)
+        waited_s = now - (self.progress_at_s if after.phase in PROGRESS else self.since_s)
         if isinstance(event, Position):
             assert waited_s <= limit_s + SLACK_S, f"{key}: {waited_s:.0f} s without an end"
             self._stream(event, after)
@@ -357,81 +349,24 @@ class Watch:
     def _limit_s(self, state: State) -> float:
         """The longest that a phase may last, or go without progress; the documented deadlines."""
         limits, settings = self.limits, state.task.settings
-        match state.phase:
-            case Phase.PREPARING if state.unready:
-                return math.inf  # a person waits with it
-            case Phase.PREPARING:
-                return 120.0
-            case Phase.ARMING:
-                return 60.0
-            case Phase.TAKING_OFF:
-                return 2.0 * 150.0 / limits.climb_rate_m_s + 60.0
-            case Phase.ARRIVED:
-                return 90.0
-            case Phase.LANDING:
-                return 60.0
-            case Phase.FLYING | Phase.RETURNING:
-                turns_s = 3.0 * 2.0 * math.pi * limits.loiter_radius_m / limits.speed_m_s
-                return turns_s + settings.scan_time_s + settings.planning_time_s + 60.0
-            case Phase.HOLDING if state.reason in WITH_A_PERSON:
-                return math.inf
-            case Phase.HOLDING if state.reason in ON_SETPOINTS:
-                return SETTLES_S + settings.planning_time_s + 60.0
-            case Phase.HOLDING:
-                return HOLD_S
-            case _:
-                return math.inf
+        answers_s = settings.planning_time_s + 60.0
+        turns_s = 3.0 * 2.0 * math.pi * limits.loiter_radius_m / limits.speed_m_s
+        held_s = SETTLES_S + answers_s if state.reason in ON_SETPOINTS else HOLD_S
+        longest_s = {
+            Phase.PREPARING: math.inf if state.unready else 120.0,  # a person waits with it
+            Phase.ARMING: 60.0,
+            Phase.TAKING_OFF: 2.0 * 150.0 / limits.climb_rate_m_s + 60.0,
+            Phase.ARRIVED: 90.0,
+            Phase.LANDING: 60.0,
+            **dict.fromkeys(SETS_OUT, turns_s + settings.scan_time_s + answers_s),
+            Phase.HOLDING: math.inf if state.reason in WITH_A_PERSON else held_s,
+        }
+        return longest_s.get(state.phase, math.inf)
 
+    # --- what people order, and the battery
 
-_PROGRESS = (Phase.FLYING, Phase.RETURNING, Phase.LANDING)
-
-
-def _flown_by(state: State) -> tuple[Leg | None, Leg | None]:
-    """The leg that it flies, and the next one."""
-    return (None, None) if state.path is None else (state.path.leg, state.path.next_leg)
-
-
-def _name(subpath: Subpath) -> bytes:
-    return subpath.control_nea_m.tobytes()
-
-
-def off_m(path: Subpath, point: tuple[float, float, float]) -> float:
-    """Distance from a straight path."""
-    start, end = path.control_nea_m[0].tolist(), path.control_nea_m[-1].tolist()
-    along = [b - a for a, b in zip(start, end, strict=True)]
-    aside = [b - a for a, b in zip(start, point, strict=True)]
-    squared = max(sum(x * x for x in along), 1e-12)
-    share = min(max(sum(x * y for x, y in zip(along, aside, strict=True)) / squared, 0.0), 1.0)
-    return math.dist([share * x for x in along], aside)
-
-
-# --- what people order, and the battery
-
-
-class WatchOrders:
-    """Sees every step of one program; AssertionError where a law is broken."""
-
-    def __init__(self, mission: Mission) -> None:
-        self.mission = mission
-        self.goals = set(mission.targets_ne_m)
-        """Where anybody ever wanted it to fly to; home is not among them."""
-        self.kept = 0
-        """How often there was something to keep."""
-        self.forgotten()
-
-    def forgotten(self) -> None:
-        """A companion that knows nothing of it goes on."""
-        self.paused = self.returns = self.lands = False
-        self.orders = self.orders_when_asked = 0
-        self.short_at_s, self.battery_at_s = math.inf, 0.0
-
-    def restarted(self) -> None:
-        """Another companion goes on from the checkpoint: the battery it has yet to hear of."""
-        self.short_at_s = math.inf
-
-    def saw(self, before: State, event: Event, after: State, commands: list[Command]) -> None:
-        """One step."""
-        self._hear(before, event)
+    def _orders(self, before: State, event: Event, after: State, commands: list[Command]) -> None:
+        self._hear_order(before, event)
         if after.goal is Goal.DOWN or after.reason is Reason.BATTERY_LOW:
             self.paused = False
         self.kept += self.paused or self.returns or self.lands or self._low_s > SHORT_S
@@ -444,8 +379,8 @@ class WatchOrders:
         held = after.phase is Phase.HOLDING and before.phase is not Phase.HOLDING
         old = isinstance(event, events.PlanReady) and self.orders != self.orders_when_asked
         if old and not held:
-            legs = [(p.leg, p.next_leg) if (p := each.path) else None for each in (before, after)]
-            assert legs[0] == legs[1], "a plan from before the order"
+            same = map(operator.is_, _flown_by(before), _flown_by(after))
+            assert all(same), "a plan from before the order"
             assert after.phase is not Phase.RETURNING or before.phase is Phase.RETURNING, (
                 "a way back from before the order"
             )
@@ -466,7 +401,7 @@ class WatchOrders:
         """For how long all that was heard of the battery was below its reserve."""
         return self.battery_at_s - self.short_at_s
 
-    def _hear(self, before: State, event: Event) -> None:
+    def _hear_order(self, before: State, event: Event) -> None:
         match event:
             case events.Battery(remaining=left):
                 self.battery_at_s = event.time_s
@@ -492,3 +427,20 @@ class WatchOrders:
                 self.paused, self.lands = False, True
             case _:
                 pass
+
+
+def _flown_by(state: State) -> tuple[Leg | None, Leg | None]:
+    """The leg that it flies, and the next one."""
+    return (None, None) if state.path is None else (state.path.leg, state.path.next_leg)
+
+
+def _name(subpath: Subpath) -> bytes:
+    return subpath.control_nea_m.tobytes()
+
+
+def off_m(path: Subpath, point: tuple[float, float, float]) -> float:
+    """Distance from a straight path."""
+    start, along = path.control_nea_m[0], path.control_nea_m[-1] - path.control_nea_m[0]
+    aside = np.asarray(point) - start
+    share = min(max(along @ aside / max(along @ along, 1e-12), 0.0), 1.0)
+    return float(np.linalg.norm(aside - share * along))

@@ -15,7 +15,7 @@ from watch import Watch
 
 from companion.mavlink.autopilots import ALL, PX4_FIXED_WING
 from companion.mission import changes, checkpoint, events, machine
-from companion.mission.events import Command, Event, Item, Landed, Mode, OrderKind
+from companion.mission.events import Command, Event, Item, Landed, Mode, OrderKind, Vector
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.phases import Phase
 from companion.planner.request import Backtrack, Planned, PlanOutcome, PlanRequest
@@ -72,7 +72,7 @@ class Wild(Craft):
         )
         shadow, go = bool(rng.random() < 0.08), seed % 3 > 0
         super().__init__(mission, self.answer, self.autopilot.traits, shadow=shadow, go=go)
-        self.watch = Watch(mission, self.traits, self.autopilot, self.context)
+        self.watch = Watch(self.autopilot, self.context)
         often = rng.choice([0.0, 0.003, 0.02, 0.1, 0.4], p=[0.05, 0.2, 0.4, 0.25, 0.1])
         self.trouble, self.events = float(often), 0
         self.tick_s = float(rng.choice([0.05, 0.1, 0.2, 0.25]))
@@ -158,15 +158,10 @@ class Wild(Craft):
 
     # --- what it says and does
 
-    def says(self) -> list[Event]:
-        return [self._astray(event) for event in super().says()]
-
-    def _astray(self, event: Event) -> Event:
-        """Its target is elsewhere."""
-        if not (isinstance(event, events.Echo) and self.is_wrong("echo")):
-            return event
-        north, east, up = event.position_nea_m
-        return replace(event, position_nea_m=(north + 900.0, east, up))
+    @property
+    def led_to(self) -> Vector:
+        north, east, up = super().led_to
+        return north + 900.0 * self.is_wrong("echo"), east, up
 
     def says_where(self) -> list[Event]:
         if self.is_wrong("position"):
