@@ -12,6 +12,7 @@ import pytest
 from harness import Rig
 
 NOT_THERE, NOT_KNOWN, PROXIMITY = 1601, 65535, 0x4000000
+DRIVER = (1, 196)
 POST = {"north_m": 10.0, "east_m": 0.0, "radius_m": 1.0, "height_m": 50.0}
 AT_ONCE = {"kind": "sectors"}
 """Takes a tenth of the time of beam after beam."""
@@ -46,12 +47,8 @@ class Bench(Rig):
             self.command(511, number, 100_000)
         self.run(seconds)
 
-    def of(self, kind: str, component: int, since_s: float = 0.0) -> list[Any]:
-        heard = self.all(kind, since_s=since_s)
-        return [each.message for each in heard if each.source[1] == component]
-
     def maps(self, since_s: float = 0.0) -> list[Any]:
-        return self.of("OBSTACLE_DISTANCE", 196, since_s)
+        return self.said("OBSTACLE_DISTANCE", DRIVER, since_s)
 
 
 @pytest.mark.parametrize("bearing_deg", [0.0, 200.0, 357.0])
@@ -72,7 +69,7 @@ def test_a_post_is_in_the_sector_where_mavlink_puts_it_and_is_told_on_every_link
     assert min(off_deg) <= 2.5
     assert max(off_deg) <= 5.0
     assert min(told.distances) == approx(980, abs=1)
-    assert {(m.type, m.autopilot) for m in bench.of("HEARTBEAT", 196)} == {(18, 8)}
+    assert {(m.type, m.autopilot) for m in bench.said("HEARTBEAT", DRIVER)} == {(18, 8)}
 
 
 def test_nearer_than_the_least_distance_nothing_is_known() -> None:
@@ -116,7 +113,7 @@ SEES: dict[str, Callable[[Any, Any, int], Any]] = {  # maps, their distances, be
 @pytest.mark.parametrize("line", SEES)
 def test_a_client_sees_the_fault(line: str) -> None:
     bench = Bench(4.0, trees=[POST], lidar=AT_ONCE, faults=f"at 1 s: {line}")
-    maps, beats = bench.maps(1.15), bench.of("HEARTBEAT", 196, 1.15)
+    maps, beats = bench.maps(1.15), bench.said("HEARTBEAT", DRIVER, 1.15)
     assert SEES[line](maps, np.array([m.distances for m in maps]), len(beats))
 
 
@@ -140,8 +137,8 @@ def test_a_leaning_vehicles_lidar_and_rangefinder_measure_slant_ranges_to_the_gr
     assert (m.id, m.orientation, m.type, m.min_distance, m.max_distance) == (0, 25, 4, 20, 1200)
     assert bench.last("RANGEFINDER").distance == approx(slant_m, abs=0.01)
     bench.run(2.0)
-    assert bench.of("DISTANCE_SENSOR", 1, 3.05) == []
-    assert {m.distance for m in bench.of("RANGEFINDER", 1, 3.05)} == {0.0}
+    assert bench.said("DISTANCE_SENSOR", since_s=3.05) == []
+    assert {m.distance for m in bench.said("RANGEFINDER", since_s=3.05)} == {0.0}
 
 
 @pytest.mark.parametrize("dead", [False, True])
@@ -151,7 +148,7 @@ def test_a_second_lidar_is_told_as_sectors_beside_the_drivers_own_and_its_death_
     second = {"second_lidar": {"range_m": 12.0, "output": "autopilot"}}
     fault = "at 1 s: lidar_dead" if dead else ""
     bench = Bench(3.0, trees=[POST], lidar={"range_m": 40.0}, asks=(132, 1), faults=fault, **second)
-    sectors = bench.of("DISTANCE_SENSOR", 1, 1.5)
+    sectors = bench.said("DISTANCE_SENSOR", since_s=1.5)
     assert dead or min(bench.maps()[-1].distances) == approx(900, abs=1)
     assert bool(sectors) is not dead
     assert dead or min(m.current_distance for m in sectors) == approx(900, abs=5)

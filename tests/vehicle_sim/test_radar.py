@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from harness import Heard, Rig, placed
+from harness import Rig, placed
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as mavlink
 from pyproj import Geod
@@ -173,7 +173,7 @@ def test_nothing_is_called_hidden_that_a_ray_reaches_and_little_is_seen_through_
 
 # --- its component --------------------------------------------------------------------------------
 
-TOP_M, TICK_S = 500.0, 0.1
+TOP_M, TICK_S, RADAR = 500.0, 0.1, (1, 100)
 RIDGE = [(2000.0, float(e), 1000.0, 200.0, 400.0) for e in range(-6000, 6001, 250)]
 ROWS: list[PeakRow] = [*RIDGE, (0.0, 0.0, TOP_M, 30.0, 30.0)]
 """A ridge, and a hill on which the vehicle stands."""
@@ -196,28 +196,28 @@ def standing(fault: str = "turbulence 0 m/s") -> Rig:
     return it
 
 
-def answered(*fault: str) -> list[Heard]:
-    """What it says to a request within 0.9 s, of a vehicle that is elsewhere in the next tick."""
+def answered(*fault: str) -> Rig:
+    """0.9 s after a request, of a vehicle that is elsewhere in the next tick."""
     it = standing(*fault)
-    it.send(request(), link=3)
+    it.send(request())
     it.run(TICK_S).vehicle.latitude_deg += 0.03
-    return [each for each in it.run(0.8).heard if each.source == (1, 100)]
+    return it.run(0.8)
 
 
-def of(said: list[Heard], kind: str) -> list[Any]:
-    return [each.message for each in said if each.kind == kind]
+def blocks_of(it: Rig) -> list[Any]:
+    return it.said("TERRAIN_DATA", RADAR)
 
 
-def heights(said: list[Heard]) -> Any:
-    return np.array([block.data for block in of(said, "TERRAIN_DATA")], dtype=np.int64).ravel()
+def heights(it: Rig) -> Any:
+    return np.array([block.data for block in blocks_of(it)], dtype=np.int64).ravel()
 
 
 def test_a_request_is_answered_once_at_the_end_of_its_tick_with_what_the_radar_sees() -> None:
     it, asked = standing(), request()
     it.run(0.05).send(request(mask=1), asked, link=3)  # the newest counts
-    said = [each for each in it.run(0.4).heard if each.source == (1, 100)]
+    said = [each for each in it.run(0.4).heard if each.source == RADAR]
     assert {(round(each.at_s, 3), each.link) for each in said} == {(1.0 + TICK_S, 3)}
-    blocks, (report,) = of(said, "TERRAIN_DATA"), of(said, "TERRAIN_REPORT")
+    *blocks, report = (each.message for each in said)
     for each in (*blocks, report):
         spacing_m = each.spacing if each is report else each.grid_spacing
         assert (each.lat, each.lon, spacing_m) == (asked.lat, asked.lon, 200)
@@ -236,8 +236,8 @@ def test_a_request_is_answered_once_at_the_end_of_its_tick_with_what_the_radar_s
 def test_its_heart_beats_once_a_second_and_it_obeys_nobody(fault: str, beats: int) -> None:
     it, order = standing(fault), mavlink.MAVLink_command_long_message
     it.send(*(order(1, target, 400, 0, *[0.0] * 7) for target in (0, 100)), request())
-    heard = [each for each in it.run(3.0).heard if each.source == (1, 100)]
-    said = [each.kind for each in heard if each.link == 0]
+    heard = it.run(3.0).heard
+    said = [each.kind for each in heard if (each.source, each.link) == (RADAR, 0)]
     assert (said.count("HEARTBEAT"), "COMMAND_ACK" in said) == (beats, False)
     assert ("TERRAIN_REPORT" in said) is bool(beats)
 
@@ -254,7 +254,7 @@ def test_it_holds_one_answer_at_a_time_and_keeps_its_rate(
     times = [each.at_s for each in it.run(10.0).all("TERRAIN_REPORT")]
     blocks = [each.message for each in it.all("TERRAIN_DATA")]
     assert [block.gridbit for block in blocks] == [0, 3] * reports
-    every = {block.gridbit: block.data for block in of(answered(), "TERRAIN_DATA")}
+    every = {block.gridbit: block.data for block in blocks_of(answered())}
     assert all(block.data == every[block.gridbit] for block in blocks)
     assert len(times) == reports
     assert min(np.diff(times[1:])) >= apart_s - 1e-6
@@ -262,17 +262,17 @@ def test_it_holds_one_answer_at_a_time_and_keeps_its_rate(
 
 def test_a_fault_spoils_what_it_says_in_its_share_and_nothing_else() -> None:
     said = answered()
-    truth, by_bit = heights(said), of(said, "TERRAIN_DATA")
+    truth, by_bit = heights(said), blocks_of(said)
     seen = truth != UNSEEN_M
     late = answered("radar_delay 770 ms")  # of the answer, and not of the look
-    assert {round(each.at_s, 3) for each in late} == {round(1.0 + TICK_S + 0.77, 3)}
+    assert {round(each.at_s - 1.0 - TICK_S, 3) for each in late.all("TERRAIN_DATA")} == {0.77}
     assert np.array_equal(heights(late), truth)
     blind = answered("radar_blind")
-    assert (len(blind), set(heights(blind))) == (57, {UNSEEN_M})
+    assert (len(blocks_of(blind)), set(heights(blind))) == (56, {UNSEEN_M})
     lossy = answered("radar_loss 30 %")
-    blocks = of(lossy, "TERRAIN_DATA")
+    blocks = blocks_of(lossy)
     assert 56 * 0.5 < len(blocks) < 56 * 0.9
-    assert of(lossy, "TERRAIN_REPORT")[0].loaded == 56  # the report counts them
+    assert lossy.said("TERRAIN_REPORT", RADAR)[0].loaded == 56  # the report counts them
     assert all(by_bit[block.gridbit].data == block.data for block in blocks)
     got = heights(answered("radar_drop 25 %"))
     missed = seen & (got == UNSEEN_M)
