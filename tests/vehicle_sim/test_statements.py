@@ -384,6 +384,7 @@ PX4: Rows = [
     (slow, [command(SPEED, 0, 20, -1), stream(20, (5e3, 0, -70))], 0, airspeed, about(12.3, 0.1)),
     # without GPS it flies a bank for NAV_GPSF_LT and then descends
     (blind_plane, [fault("gps_off"), northwards(4)], 0, mode_of, "Offboard"),
+    (blind_plane, [fault("gps_off"), northwards(7)], 0, mode_sinks, ("Descend", about(0.0, 0.1))),
     (blind_plane, [fault("gps_off"), northwards(22)], 0, mode_roll, ("Descend", BANKED)),
     (blind_plane, [fault("gps_off"), northwards(22)], 0, mode_sinks, ("Descend", about(0.5, 0.05))),
     # its circles are NAV_LOITER_RAD wide, whatever is asked, and to the left where that is negative
