@@ -114,12 +114,13 @@ class Process(subprocess.Popen[str]):
         return self.returncode, out, err
 
 
-class Running:
-    """A server of some vehicles on a link, or one each, in a thread; and what became of it."""
+class Running(threading.Thread):
+    """A server of some vehicles on a link, or one each; and what became of it."""
 
     def __init__(
         self, tables: Sequence[dict[str, Any]], links: Sequence[Link], **settings: Any
     ) -> None:
+        super().__init__(daemon=True)
         self.simulations = [Simulation(parse_world(table), seed=1) for table in tables]
         self.simulation, self.stop = self.simulations[0], threading.Event()
         self.port = links[0].endpoint.port
@@ -129,15 +130,14 @@ class Running:
         stations = [Station(simulation=each, links=[link]) for each, link in pairs]
         ours = Stations(stations, self.stop)
         self._server = Server(stations=ours, say=lambda _: None, **settings)
-        self.thread = threading.Thread(target=self._run, daemon=True)
-        self.thread.start()
+        self.start()
 
-    def _run(self) -> None:
+    def run(self) -> None:
         try:
             self._server.run()
         except SimulatorError as error:
             self.error = error
 
     def ended(self, within_s: float = 10.0) -> bool:
-        self.thread.join(within_s)
-        return not self.thread.is_alive()
+        self.join(within_s)
+        return not self.is_alive()

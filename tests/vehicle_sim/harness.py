@@ -8,7 +8,6 @@ import cmath
 import copy
 import copyreg
 import functools
-import itertools
 import json
 import math
 from collections.abc import Callable, Sequence
@@ -17,7 +16,6 @@ from typing import Any, Final, Self, TypeVar
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot.px4plane import SIH_AIRPLANE
-from vehicle_sim.dynamics.copter import Limits
 from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.parameters import Firmware, Parameter
 from vehicle_sim.plans import PlanItem, PlanKind
@@ -31,8 +29,6 @@ Vector = tuple[float, float, float]
 VEHICLE, GCS, COMPANION = (1, 1), (255, 190), (1, 191)
 ZERO: Vector = (0.0, 0.0, 0.0)
 NAN: Final = math.nan
-POSITION, POSITION_VELOCITY, ALL, VELOCITY = 0xDF8, 0xDC0, 0xC00, 0xDC7
-"""Masks of setpoints."""
 COPTER_HOME, PLANE_HOME = (47.0, 8.0, 500.0), (-35.3632621, 149.1652370, 584.09)
 PLACE: Final = (47.397742, 8.545594, 488.0)
 """Where ArduCopter, ArduPlane and PX4 stand: latitude, longitude, metres AMSL."""
@@ -52,12 +48,6 @@ def copied(make: Callable[..., Made]) -> Callable[..., Made]:
     """What is made of the same arguments is made once, and each caller has a copy."""
     kept: Any = functools.cache(make)
     return functools.wraps(make)(lambda *given, **named: kept(*given, **named).copy())
-
-
-GENTLE = Limits(
-    speed_m_s=50.0, acceleration_m_s2=9.0, speed_vertical_m_s=5.0, acceleration_vertical_m_s2=5.0
-)
-"""An airframe for sensors and weather."""
 
 
 def placed(place: tuple[float, ...], *, height: bool = True) -> dict[str, float]:
@@ -310,9 +300,12 @@ class Rig:
 
     def stream(self, seconds: float, *vectors: Any, rate_hz: float = 20.0, **fields: Any) -> Self:
         """The same setpoint again and again."""
-        told, steps = setpoint(*vectors, **fields), itertools.count()
-        every = round(1.0 / rate_hz / STEP_S)
-        return self.run(seconds, lambda: next(steps) % every or self.send(told))
+        told, every = setpoint(*vectors, **fields), round(1.0 / rate_hz / STEP_S)
+        for k in range(round(seconds / STEP_S)):
+            if k % every == 0:
+                self.send(told)
+            self.step()
+        return self
 
     def armable(self) -> Self:
         """Boot until it may be armed."""
@@ -356,15 +349,30 @@ class Rig:
             self.until(lambda: self.status.landed_state == 2, 30.0)
         return self.run(3.0)
 
+    def put_at(
+        self, north_m: float, east_m: float, up_m: float, heading_rad: float, *, speed_m_s: float
+    ) -> Self:
+        """A plane, wings level in still air."""
+        plane = self.vehicle
+        plane.latitude_deg, plane.longitude_deg, plane.altitude_amsl_m = self.place(
+            north_m, east_m, up_m
+        )
+        plane.heading_rad, plane.roll_rad, plane.airspeed_m_s = heading_rad, 0.0, speed_m_s
+        plane.velocity_m_s = cmath.rect(speed_m_s, heading_rad)
+        return self.run(STEP_S)
+
     # --- out ----------------------------------------------------------------------------------
 
-    def all(self, kind: str, *, link: int | None = 0, since_s: float = 0.0) -> list[Heard]:
-        """Every one of this kind that came by this link."""
-        return [
-            each
-            for each in self.heard
-            if each.kind == kind and link in (None, each.link) and each.at_s >= since_s
-        ]
+    def all(
+        self, kind: str, *, link: int = 0, since_s: float = 0.0, source: Ids | None = None
+    ) -> list[Heard]:
+        """Every one of this kind that came by this link, from this source or any."""
+        heard = (each for each in self.heard if (each.kind, each.link) == (kind, link))
+        return [each for each in heard if each.at_s >= since_s and source in (None, each.source)]
+
+    def said(self, kind: str, source: Ids = VEHICLE, since_s: float = 0.0) -> list[Any]:
+        """The messages of this kind and source on link 0."""
+        return [each.message for each in self.all(kind, source=source, since_s=since_s)]
 
     def last(self, kind: str) -> Any:
         """The newest of this kind on link 0; it must have come."""
@@ -377,10 +385,6 @@ class Rig:
         """What was said, of each text the first 50 characters."""
         told = (each.message for each in self.all("STATUSTEXT", since_s=since_s, link=link))
         return [message.text for message in told if not message.chunk_seq]
-
-    def when(self, text: str) -> list[float]:
-        """The times at which this was said."""
-        return [each.at_s for each in self.all("STATUSTEXT") if each.message.text == text]
 
     # --- to look at ---------------------------------------------------------------------------
 
@@ -488,11 +492,5 @@ def cruising(
     **told: Any,
 ) -> Rig:
     """PX4's plane that has long been on its way, put there."""
-    rig = _cruising(**told)
-    plane, speed_m_s = rig.vehicle, SIH_AIRPLANE.airspeed_max_m_s
-    place = rig.place(north_m, east_m, height_m)
-    plane.latitude_deg, plane.longitude_deg, plane.altitude_amsl_m = place
-    plane.heading_rad, plane.roll_rad, plane.airspeed_m_s = heading_rad, 0.0, speed_m_s
-    plane.velocity_m_s = cmath.rect(speed_m_s, heading_rad)
-    rig.step()
-    return rig
+    rig, speed_m_s = _cruising(**told), SIH_AIRPLANE.airspeed_max_m_s
+    return rig.put_at(north_m, east_m, height_m, heading_rad, speed_m_s=speed_m_s)

@@ -1,17 +1,23 @@
-"""Who has landed and who has crashed: one law for all vehicles and autopilots."""
+"""What is near, what is hit and who survives it: one law for all vehicles and autopilots.
+
+Distances and beams among near things against shapely, and woods against their law.
+"""
 
 import math
 from typing import Any
 
+import numpy as np
 import pytest
-from harness import COPTER_HOME, KINDS, Rig, item, placed, setpoint
+import shapely
+from harness import COPTER_HOME, KINDS, Rig, placed, setpoint, world
+from scipy.spatial import cKDTree
 
 from vehicle_sim.dynamics.contact import Contact, Crash, is_crash
 from vehicle_sim.dynamics.plane import Plane
-from vehicle_sim.geodesy import LocalFrame
-from vehicle_sim.plans import PlanKind
+from vehicle_sim.geodesy import FloatArray, LocalFrame
 from vehicle_sim.scene import Scene
 from vehicle_sim.terrain import PeakTerrain
+from vehicle_sim.world import Tree, World, parse_world
 
 GROUND_M = 500.0
 PEAK = {"north_m": 900.0, "east_m": 0.0, "height_amsl_m": GROUND_M + 700.0}
@@ -32,28 +38,26 @@ def under_way(height_m: float, north_m_s: float, *kind: Any, **told: Any) -> Rig
     return flown
 
 
-@pytest.mark.parametrize(
-    ("velocity", "slope", "rolls", "lands", "crashes"),
-    [
-        ((0.0, 0.0, -2.9), 0.0, False, True, False),
-        ((0.0, 0.0, -3.1), 0.0, False, True, True),
-        ((2.0, -2.0, -1.5), 0.0, False, True, True),  # sideways counts
-        ((9.0, 0.0, 3.0), 1.0, False, True, True),
-        ((20.0, 0.0, -1.0), 0.0, True, True, False),  # a runway
-        ((20.0, 0.0, -3.1), 0.0, True, True, True),
-        ((20.0, 0.0, -1.0), 0.05, True, True, False),
-        ((20.0, 0.0, 0.0), 0.2, True, True, True),
-        ((20.0, 0.0, 4.0), 0.2, True, True, True),  # along a hillside is no runway
-        ((0.0, 9.0, 0.0), 0.12j, True, True, True),
-        ((9.0, 0.0, 0.0), 0.12, True, False, False),  # it rolls up a ramp
-        ((9.0, 0.0, 0.0), 1.0, True, False, True),  # and into a wall
-        ((9.0, 0.0, -9.0), -1.0, True, False, False),  # along the slope that it is on
-    ],
-)
-def test_a_contact_is_judged_by_the_speed_in_all_axes(
-    velocity: tuple[float, float, float], slope: complex, rolls: bool, lands: bool, crashes: bool
-) -> None:
-    assert is_crash(velocity, slope, rolls=rolls, lands=lands) is crashes
+CONTACTS = [  # velocity, slope, whether it rolls, lands, crashes
+    ((0.0, 0.0, -2.9), 0.0, False, True, False),
+    ((0.0, 0.0, -3.1), 0.0, False, True, True),
+    ((2.0, -2.0, -1.5), 0.0, False, True, True),  # sideways counts
+    ((9.0, 0.0, 3.0), 1.0, False, True, True),
+    ((20.0, 0.0, -1.0), 0.0, True, True, False),  # a runway
+    ((20.0, 0.0, -3.1), 0.0, True, True, True),
+    ((20.0, 0.0, -1.0), 0.05, True, True, False),
+    ((20.0, 0.0, 0.0), 0.2, True, True, True),
+    ((20.0, 0.0, 4.0), 0.2, True, True, True),  # along a hillside is no runway
+    ((0.0, 9.0, 0.0), 0.12j, True, True, True),
+    ((9.0, 0.0, 0.0), 0.12, True, False, False),  # it rolls up a ramp
+    ((9.0, 0.0, 0.0), 1.0, True, False, True),  # and into a wall
+    ((9.0, 0.0, -9.0), -1.0, True, False, False),  # along the slope that it is on
+]
+
+
+def test_a_contact_is_judged_by_the_speed_in_all_axes() -> None:
+    for velocity, slope, rolls, lands, crashes in CONTACTS:
+        assert is_crash(velocity, slope, rolls=rolls, lands=lands) is crashes, (velocity, slope)
 
 
 class Step(PeakTerrain):  # type: ignore[misc]
@@ -130,18 +134,6 @@ def test_who_hits_a_thing_however_thin_falls_and_does_not_fly_through(
     assert min(row["near_m"] for row in truth) == simulation.contact.nearest_m == 0.0
 
 
-def test_a_plane_that_rolls_out_on_its_runway_has_not_crashed() -> None:
-    flown = Rig("ardupilot", "plane").armable()
-    legs = ((16,), (22, 0.0, 0.0, 20.0), (16, 250.0, 0.0, 20.0), (21, 500.0))
-    flown.plan(PlanKind.MISSION, *(item(flown.home, *leg) for leg in legs))
-    assert [flown.set_mode("AUTO"), flown.arm()] == [0, 0]
-    flown.until(lambda: flown.height_m > 10.0, 40.0)
-    flown.until(lambda: flown.height_m <= 0.0, 90.0)
-    assert flown.vehicle.velocity_m_s.real > 5.0
-    flown.until(lambda: not flown.armed, 40.0)
-    assert flown.simulation.crash is None
-
-
 def test_who_passes_a_tree_has_the_least_distance_in_the_truth() -> None:
     tree = TREE | {"east_m": 3.0, "radius_m": 0.5}
     flown = under_way(5.0, 4.0, "ardupilot", "copter", trees=[tree]).run(9.0)
@@ -150,3 +142,125 @@ def test_who_passes_a_tree_has_the_least_distance_in_the_truth() -> None:
     least_m = min(row["near_m"] for row in truth)
     assert least_m == pytest.approx(3.0 - 0.5 - sum(east_m) / len(east_m), abs=0.02)
     assert least_m == pytest.approx(flown.simulation.contact.nearest_m, abs=1e-3)
+
+
+# --- what is near: a distance and a beam ----------------------------------------------------------
+
+PLAIN_M = 100.0
+Solid = tuple[Any, float]
+"""A shapely geometry in north and east, from the ground up to a height."""
+
+
+def around(**near: Any) -> World:
+    return parse_world(world(place=(47.0, 8.0, PLAIN_M), **near))
+
+
+def drawn(seed: int, *peaks: Any) -> tuple[World, list[Solid]]:
+    """Random things, and the same as shapely has them."""
+    rng, solids = np.random.default_rng(seed), list[Solid]()
+    trees, walls, buildings = [], [], []
+
+    def height(shape: Any) -> dict[str, float]:
+        """Of a thing of this shape."""
+        height_m = float(rng.uniform(3.0, 20.0))
+        solids.append((shape, PLAIN_M + height_m))
+        return {"height_m": height_m}
+
+    for _ in range(30):
+        (n, e), radius_m = rng.uniform(-30, 30, 2).tolist(), float(rng.uniform(0.1, 2.0))
+        round_m = shapely.Point(n, e).buffer(radius_m, quad_segs=128)
+        trees.append({"north_m": n, "east_m": e, "radius_m": radius_m} | height(round_m))
+    for _ in range(4):
+        points, thick_m = rng.uniform(-30, 30, (3, 2)).tolist(), float(rng.uniform(0.2, 2))
+        line = shapely.LineString(points).buffer(thick_m / 2, quad_segs=128)
+        walls.append({"points_ne_m": points, "thickness_m": thick_m} | height(line))
+    for _ in range(4):
+        angles = np.sort(rng.uniform(0, math.tau, 6))
+        rays = rng.uniform(2, 12, (6, 1)) * np.stack([np.cos(angles), np.sin(angles)], -1)
+        corners = (rng.uniform(-30, 30, 2) + rays).tolist()
+        if (shape := shapely.Polygon(corners)).is_valid:
+            buildings.append({"corners_ne_m": corners} | height(shape))
+    return around(peaks=peaks, trees=trees, walls=walls, buildings=buildings), solids
+
+
+def away_m(solids: list[Solid], points: FloatArray) -> FloatArray:
+    flat = shapely.points(points[:, :2])
+    each = [
+        np.hypot(shapely.distance(shape, flat), np.maximum(points[:, 2] - top, 0.0))
+        for shape, top in solids
+    ]
+    return np.min(each, axis=0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_distances_are_shapelys(seed: int) -> None:
+    made, solids = drawn(seed)
+    rng = np.random.default_rng(seed + 100)
+    points = rng.uniform([-60, -60, PLAIN_M], [60, 60, PLAIN_M + 40], (100, 3))
+    assert made.scene().distance_m(points) == pytest.approx(away_m(solids, points), abs=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_tilted_beams_end_where_small_steps_first_are_inside_or_in_a_hill(seed: int) -> None:
+    hill = {"north_m": 40.0, "east_m": 0.0, "height_amsl_m": PLAIN_M + 30.0}
+    hill |= {"spread_north_m": 15.0, "spread_east_m": 20.0}
+    made, solids = drawn(seed, hill)
+    ways = np.random.default_rng(seed + 300).normal(size=(12, 3)) * [1.0, 1.0, 0.4]
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    eye = np.array([0.0, 0.0, PLAIN_M + 22.0])  # above all roofs: beams come down on them
+    found, steps = made.scene().ray_lengths_m(eye, ways, 60.0), np.arange(0.0, 60.0, 0.02)
+    shapely.prepare([shape for shape, _ in solids])
+    for way, length in zip(ways, found, strict=True):
+        points = eye + steps[:, None] * way
+        inside = points[:, 2] < made.truth().height_amsl_m(points[:, 0], points[:, 1])
+        for shape, top in solids:
+            inside |= (points[:, 2] <= top) & shapely.contains_xy(shape, *points[:, :2].T)
+        first = steps[inside.argmax()] if inside.any() else math.inf
+        assert length == pytest.approx(first, abs=0.05) or length > 59.9
+
+
+def test_a_wire_is_touched_and_not_seen() -> None:
+    made = around(wires=[{"ends_ne_m": [[10.0, -5.0], [10.0, 5.0]], "height_m": 8.0}]).scene()
+    at = np.array([0.0, 0.0, PLAIN_M + 8.0])
+    assert made.distance_m(at) == pytest.approx(9.99)
+    assert made.distance_m(at + np.array([10.0, 0.0, 0.005])) == 0.0
+    assert np.isinf(made.ray_lengths_m(at, np.array([[1.0, 0.0, 0.0]]), 40.0)).all()
+    assert np.isinf(around().scene().distance_m(at)).all()  # without things nothing is near
+
+
+# --- woods ----------------------------------------------------------------------------------------
+
+WOOD: dict[str, Any] = {
+    "seed": 7,
+    "clearing_share": 0.1,
+    "clearings": [{"north_m": 50.0, "east_m": 60.0, "radius_m": 15.0}],
+}
+WOOD |= {"north_min_m": -20.0, "north_max_m": 180.0, "east_min_m": 0.0, "east_max_m": 150.0}
+WOOD |= {"spacing_m": [4.0, 8.0], "radius_m": [0.2, 0.5], "height_m": [10.0, 20.0]}
+
+
+def trees_of(made: World | None = None, **changes: Any) -> list[Tree]:
+    (wood,) = (made or around(woods=[WOOD | changes])).woods
+    return list(wood.trees())
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_wood_is_its_seeds_keeps_its_spacing_and_its_clearings_and_all_are_in_the_scene(
+    seed: int,
+) -> None:
+    made, trees = around(woods=[WOOD]).with_woods_of(seed), trees_of(seed=seed)
+    assert trees_of(made) == trees != trees_of(seed=seed + 1)
+    places = np.array([(t.north_m, t.east_m) for t in trees])
+    assert (places >= [-20.0, 0.0]).all()
+    assert (places <= [180.0, 150.0]).all()
+    next_m = cKDTree(places).query(places, k=2)[0][:, 1]
+    assert next_m.min() >= 4.0
+    assert np.quantile(next_m, 0.1) < 5.5  # clumps
+    assert np.quantile(next_m, 0.9) > 6.0
+    assert np.hypot(*(places - [50.0, 60.0]).T).min() >= 15.0 + 0.2
+    assert all(0.2 <= t.radius_m <= 0.5 and 10.0 <= t.height_m <= 20.0 for t in trees)
+    counts = [len(trees_of(seed=seed, clearing_share=s, clearings=[])) for s in (0.0, 0.3, 0.6)]
+    assert counts == sorted(counts, reverse=True)
+    assert counts[2] < 0.6 * counts[0]
+    beside = [[t.north_m + t.radius_m + 1.0, t.east_m, PLAIN_M + 5.0] for t in trees[::40]]
+    assert (made.scene().distance_m(np.array(beside)) <= 1.0 + 1e-9).all()

@@ -1,25 +1,31 @@
-"""Copter, plane, wind and battery against closed forms and what the recorded flights show."""
+"""Copter, plane, wind, battery and receiver against closed forms and what recordings show."""
 
+import bisect
 import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from harness import GENTLE, placed
+from harness import ZERO, placed
 from hypothesis import given
 from hypothesis import strategies as st
+from pyproj import Geod
 
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.battery import Battery, Model
 from vehicle_sim.dynamics.copter import HOVER_THROTTLE, RESPONSE_S, Copter, Limits
 from vehicle_sim.dynamics.plane import Plane, PlaneLimits
 from vehicle_sim.dynamics.wind import LEVEL_M, VERTICAL_M, VERTICAL_SHARE, Wind
-from vehicle_sim.faults import BatteryConditions, WindConditions
+from vehicle_sim.faults import BatteryConditions, GpsConditions, WindConditions
 from vehicle_sim.geodesy import FloatArray, LocalFrame
+from vehicle_sim.sensors.gps import ARDUCOPTER, Fix, Gps
 
 approx = pytest.approx
 DT_S, PLACE = 0.01, (47.0, 8.0, 500.0)
+GENTLE = Limits(
+    speed_m_s=50.0, acceleration_m_s2=9.0, speed_vertical_m_s=5.0, acceleration_vertical_m_s2=5.0
+)
 LIMITS = replace(GENTLE, speed_m_s=30.0, acceleration_m_s2=4.0, acceleration_vertical_m_s2=2.0)
 FREE = Limits(
     speed_m_s=1e3, acceleration_m_s2=1e3, speed_vertical_m_s=1e3, acceleration_vertical_m_s2=1e3
@@ -65,17 +71,6 @@ def test_a_steady_order_is_flown_as_the_closed_form_says_up_to_the_fastest_speed
     it.stand(470.0)
     assert it.roll_rad == it.pitch_rad == it.throttle == it.airspeed_m_s == 0.0
     assert (it.altitude_amsl_m, it.velocity_neu_m_s) == (470.0, (0.0, 0.0, 0.0))
-
-
-@pytest.mark.parametrize(("tilt_deg", "speed_m_s"), [(28.7, 10.05), (45.0, 15.39)])
-def test_drag_and_tilt_hold_the_speeds_that_were_measured(
-    tilt_deg: float, speed_m_s: float
-) -> None:
-    """Steady in arducopter-*.tlog."""
-    most = GRAVITY_M_S2 * math.tan(math.radians(tilt_deg))  # no more holds the height
-    it = flown(copter(replace(FREE, acceleration_m_s2=most), 0.340, 0.0193), 30.0, 100.0, 0, 0)
-    assert it.velocity_m_s.real == approx(speed_m_s, rel=0.01)
-    assert it.pitch_rad == approx(-math.radians(tilt_deg), rel=1e-6)
 
 
 def test_left_alone_it_drifts_with_the_wind_and_to_stand_still_it_leans_into_it() -> None:
@@ -180,16 +175,13 @@ def test_mean_variance_and_correlation_of_gusts_are_as_stated_whatever_the_step(
     assert approx((VERTICAL_M, LEVEL_M, VERTICAL_SHARE), rel=1e-3) == (60.96, 221.2, 0.6507)
 
 
-@pytest.mark.parametrize(
-    ("above_m", "share"), [(100.0, 1.0), (15.0, 0.5), (0.0, 0.0), (-9.0, 0.0), (1e5, 1.0)]
-)
-def test_below_sixty_metres_a_wind_goes_with_the_root_of_the_height(
-    above_m: float, share: float
-) -> None:
-    wind, it = Wind(np.random.default_rng(5)), copter()
-    wind.step(DT_S, it, WindConditions(speed_m_s=8.0, from_rad=math.pi / 2), 500.0 - above_m)
-    seen = it.wind_m_s.real, it.wind_m_s.imag, it.wind_up_m_s
-    assert seen == approx((0.0, -8.0 * share, 0.0), abs=1e-12)
+def test_below_sixty_metres_a_wind_goes_with_the_root_of_the_height() -> None:
+    east = WindConditions(speed_m_s=8.0, from_rad=math.pi / 2)
+    for above_m, share in ((100.0, 1.0), (15.0, 0.5), (0.0, 0.0), (-9.0, 0.0), (1e5, 1.0)):
+        wind, it = Wind(np.random.default_rng(5)), copter()
+        wind.step(DT_S, it, east, 500.0 - above_m)
+        seen = it.wind_m_s.real, it.wind_m_s.imag, it.wind_up_m_s
+        assert seen == approx((0.0, -8.0 * share, 0.0), abs=1e-12)
 
 
 def test_a_change_sets_in_slowly_keeps_the_speed_of_what_rises_and_goes_without_a_trace() -> None:
@@ -206,29 +198,128 @@ COPTER, PLANE, PX4 = "ardupilot copter", "ardupilot plane", "px4"
 EMPTY, SMALL = {"least": 0.0, "drain_s": 10.0}, {"capacity_ah": 3.3}
 
 
+BATTERIES: list[
+    tuple[Model, int, Any, float, Any, float]
+] = [  # volts, amperes, what is left; conditions None: it is not armed
+    # px4-offboard-8mps.tlog: 16.2 V full, 15.3 V at 50 % for ever, 33 s after arming
+    (PX4, 10, {}, 16.2 - 1.8 / 6.0, -1.0, 1.0 - 10.0 / 60.0),
+    (PX4, 40, {}, 15.3, -1.0, 0.5),
+    # with a capacity it empties: to 76.85 %, at 0.9558 of its voltage at rest, and to nothing
+    (COPTER, 100, SMALL, 11.9496, 27.5, 1 - 2750 / 11_880),
+    (COPTER, 900, SMALL, 12.6 * 0.8 - 27.5 * 0.0034, 27.5, 0.0),
+    (PX4, 100, EMPTY, 14.4, None, 0.0),
+    # no more is left than a fault says
+    (COPTER, 10, {"most": 0.15}, 12.6 * 0.895, 27.5, 0.15),
+    (PX4, 10, {"most": 0.15, "least": 0.0}, 14.67, None, 0.15),
+    (PLANE, 100, None, 12.6, 0.0, 1.0),  # and nothing is drawn on the ground
+]
+
+
+def test_a_battery_empties_as_its_capacity_and_its_faults_say() -> None:
+    """Hovering."""
+    for model, seconds, conditions, volts, amperes, left in BATTERIES:
+        it, battery = copter(), Battery(model=model)
+        it.throttle, told = HOVER_THROTTLE, BatteryConditions(**conditions or {})
+        for _ in range(round(seconds / DT_S)):
+            battery.step(DT_S, it, conditions is not None, told)
+        assert (battery.voltage_v, battery.remaining) == (approx(volts, abs=1e-4), approx(left))
+        assert amperes is None or battery.current_a == approx(amperes)
+
+
+# --- the receiver: what it says of a known flight, by what its parameters ask for -----------------
+
+WGS84 = Geod(ellps="WGS84")
+FINE = GpsConditions()
+STEP_US, S = 10_000, 1_000_000
+Changes = list[tuple[float, GpsConditions]]
+"""From these seconds on."""
+
+
+def fixes(
+    changes: Changes, until_s: float, *, it: Copter | None = None, step_us: int = STEP_US
+) -> list[Fix]:
+    """What it says after each step, of a vehicle that keeps its velocity."""
+    vehicle = it or copter(GENTLE)
+    gps, starts, found = Gps(ARDUCOPTER, np.random.default_rng(1)), [at for at, _ in changes], []
+    for now_us in range(0, round(until_s * S) + 1, step_us):
+        conditions = changes[bisect.bisect_right(starts, now_us / S) - 1][1]
+        vehicle.advance(0.0, 0.0, 0.0, step_us * 1e-6 if now_us else 0.0)
+        found.append(gps.step(now_us, vehicle, conditions))
+    return found
+
+
+def solutions(until_s: float, conditions: Any, **how: Any) -> list[Fix]:
+    """Each new one."""
+    found = fixes([(0.0, conditions)], until_s, **how)
+    return [fix for k, fix in enumerate(found) if k and fix is not found[k - 1]]
+
+
+def offsets_m(found: list[Fix], latitude_deg: float = PLACE[0]) -> FloatArray:
+    """North, east, up of home.  -> (K, 3)."""
+    rows = []
+    for fix in found:
+        place = (PLACE[1], latitude_deg, fix.longitude_deg, fix.latitude_deg)
+        azimuth, _, away = WGS84.inv(*place)
+        north, east = math.cos(math.radians(azimuth)), math.sin(math.radians(azimuth))
+        rows.append((away * north, away * east, fix.altitude_amsl_m - PLACE[2]))
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.25])
+def test_the_position_is_as_old_as_the_lag_says(lag_s: float) -> None:
+    it = copter(GENTLE)
+    it.velocity_m_s = 10.0 + 0j
+    found = solutions(30.0, GpsConditions(lag_s=lag_s), it=it)[15:]
+    expected = [10.0 * (fix.time_us * 1e-6 - lag_s) for fix in found]
+    assert offsets_m(found)[:, 0] == approx(np.array(expected), abs=0.005)
+    assert {round(fix.velocity_north_m_s, 6) for fix in found} == {10.0}
+
+
+@pytest.mark.parametrize("latitude_deg", [-35.4, 60.0])
 @pytest.mark.parametrize(
-    ("model", "seconds", "conditions", "volts", "amperes", "left"),
+    ("glitch", "moved_m"),
     [
-        # px4-offboard-8mps.tlog: 16.2 V full, 15.3 V at 50 % for ever, 33 s after arming
-        (PX4, 10, {}, 16.2 - 1.8 / 6.0, -1.0, 1.0 - 10.0 / 60.0),
-        (PX4, 40, {}, 15.3, -1.0, 0.5),
-        # with a capacity it empties: to 76.85 %, at 0.9558 of its voltage at rest, and to nothing
-        (COPTER, 100, SMALL, 11.9496, 27.5, 1 - 2750 / 11_880),
-        (COPTER, 900, SMALL, 12.6 * 0.8 - 27.5 * 0.0034, 27.5, 0.0),
-        (PX4, 100, EMPTY, 14.4, None, 0.0),
-        # no more is left than a fault says
-        (COPTER, 10, {"most": 0.15}, 12.6 * 0.895, 27.5, 0.15),
-        (PX4, 10, {"most": 0.15, "least": 0.0}, 14.67, None, 0.15),
-        (PLANE, 100, None, 12.6, 0.0, 1.0),  # and nothing is drawn on the ground
+        (GpsConditions(glitch_m=(50.0, -30.0, -7.0)), (50.0, -30.0, -7.0)),
+        (GpsConditions(glitch_latitude_deg=0.00045, glitch_up_m=9.0), (49.9, 0.0, 9.0)),
     ],
 )
-def test_a_battery_empties_as_its_capacity_and_its_faults_say(
-    model: Model, seconds: int, conditions: Any, volts: Any, amperes: Any, left: float
+def test_a_glitch_moves_the_position_at_once_and_back(
+    latitude_deg: float, glitch: GpsConditions, moved_m: tuple[float, float, float]
 ) -> None:
-    """Hovering; conditions None: it is not armed."""
-    it, battery = copter(), Battery(model=model)
-    it.throttle, told = HOVER_THROTTLE, BatteryConditions(**conditions or {})
-    for _ in range(round(seconds / DT_S)):
-        battery.step(DT_S, it, conditions is not None, told)
-    assert (battery.voltage_v, battery.remaining) == (approx(volts, abs=1e-4), approx(left))
-    assert amperes is None or battery.current_a == approx(amperes)
+    it = copter(GENTLE)
+    it.latitude_deg = latitude_deg
+    found = fixes([(0.0, FINE), (12.0, glitch), (15.0, FINE)], 20.0, it=it)
+    for step, expected_m in ((1199, ZERO), (1218, moved_m)):
+        assert offsets_m([found[step]], latitude_deg)[0] == approx(expected_m, abs=0.3)
+        assert found[step].fix_type == 6
+    assert found[1518][2:5] == found[1199][2:5]
+
+
+def test_a_drift_goes_on_at_its_speed_and_is_forgotten() -> None:
+    drift = GpsConditions(drift_m_s=(0.0, 0.5, 0.1))
+    found = solutions(60.0, drift)[3:]
+    away, lasted_s = offsets_m(found), (found[-1].time_us - found[0].time_us) * 1e-6
+    expected = [0, 0.5 * lasted_s, 0.1 * lasted_s]
+    assert away[-1] - away[0] == approx(expected, rel=2e-3, abs=1e-3)
+    assert found[-1].velocity_east_m_s == approx(0.5)
+    found = fixes([(0.0, drift), (20.0, FINE)], 30.0)
+    assert offsets_m(found[-1:])[0] == approx(ZERO, abs=1e-6)
+
+
+def test_noise_has_the_standard_deviation_and_correlation_that_are_asked_for() -> None:
+    found = solutions(4000.0, GpsConditions(sigma_m=3.0), step_us=100_000)[3:]
+    away, lag = offsets_m(found), round(5.0 / 0.2)
+    assert away.std(axis=0) == approx([3.0, 3.0, 4.5], rel=0.15)
+    for x in away.T:
+        assert np.corrcoef(x[lag:], x[:-lag])[0, 1] == approx(math.exp(-1.0), abs=0.12)
+
+
+def test_a_jammed_receiver_first_loses_its_fix_and_then_says_wild_things() -> None:
+    changes = [(0.0, FINE), (20.0, GpsConditions(jammed=True))]
+    found = fixes(changes, 139.9, step_us=200_000)
+    lost, wild = found[102:107], found[140:]
+    assert found[99].fix_type == 6
+    assert {(fix.fix_type, fix.satellites) for fix in lost} == {(1, 0)}
+    assert {fix.fix_type for fix in wild} == {1, 6}
+    assert 20.0 < np.hypot(*offsets_m(wild)[:, :2].T).max() < 20_000.0
+    assert 50.0 < max(abs(fix.velocity_north_m_s) for fix in wild) <= 400.0

@@ -183,13 +183,9 @@ def flown(firmware: Firmware, line: str = "turbulence 0 m/s") -> Rig:
     return it.run(4.0)
 
 
-def messages(it: Rig, kind: str, *source: int) -> list[Any]:
-    return [each.message for each in it.all(kind) if each.source == (source or (1, 1))]
-
-
 def begins_m(it: Rig) -> FloatArray:
     """North, east, down in the local frame."""
-    first = messages(it, "LOCAL_POSITION_NED")[0]
+    first = it.said("LOCAL_POSITION_NED")[0]
     return np.array((first.x, first.y, first.z))
 
 
@@ -227,11 +223,11 @@ SEES: dict[str, Callable[[Rig, Rig], object]] = {
     "pilot": lambda a, b: mode(a) != mode(b),
     "ground_command 176 1 2 to_autopilot": lambda a, b: mode(a) != mode(b),
     "ground_command 193 1 2 3": lambda _, b: (
-        [(m.command, m.param1, m.param2, m.param3) for m in messages(b, "COMMAND_LONG", *GCS)]
+        [(m.command, m.param1, m.param2, m.param3) for m in b.said("COMMAND_LONG", GCS)]
         == [(193, 1.0, 2.0, 3.0)]
     ),
     "ground_target 50 m north 20 m west": lambda a, b: (
-        not a.all("COMMAND_INT") and [m.command for m in messages(b, "COMMAND_INT", *GCS)] == [192]
+        not a.all("COMMAND_INT") and [m.command for m in b.said("COMMAND_INT", GCS)] == [192]
     ),
     "ground_fence 20 m 60 m ahead": lambda a, b: (
         not a.simulation.plans[PlanKind.FENCE] and fence_ahead_m(b) == approx((60.0, 0.0), abs=3.0)

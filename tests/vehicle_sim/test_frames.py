@@ -10,7 +10,7 @@ import struct
 from typing import Any
 
 import pytest
-from harness import VEHICLE, ZERO, Rig, flying, hover, hovering, setpoint
+from harness import VEHICLE, Rig, hover, hovering
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
@@ -104,14 +104,6 @@ def test_what_is_no_frame_of_mavlink_is_passed_over_and_an_unknown_one_costs_onl
 # --- messages -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("firmware", "base", "mode"), [("ardupilot", 1, 9), ("px4", 209, 6 << 16)])
-def test_set_mode_means_do_set_mode(firmware: Any, base: int, mode: int) -> None:
-    vehicle = flying(firmware, "copter")
-    vehicle.streamed = setpoint(None, ZERO)
-    vehicle.run(1.0).send(mavlink.MAVLink_set_mode_message(1, base, mode))
-    assert vehicle.run(0.1).mode == ("Offboard" if firmware == "px4" else "LAND")
-
-
 @pytest.mark.parametrize("length", [50, 51, 100, 149])
 def test_a_text_that_does_not_fit_goes_on_in_chunks_to_a_zero_byte(length: int) -> None:
     said = "å" + "".join(chr(ord("a") + k % 26) for k in range(length - 1))
@@ -181,21 +173,15 @@ def test_values_are_listed_in_order_read_by_index_or_name_told_to_every_link_and
     assert set(there) == {1.5}
 
 
-@pytest.mark.parametrize(
-    ("name", "asked", "kept"),
-    [
-        ("ANGLE_MAX", 4500.6, 4501),
-        *(("ANGLE_MAX", 1e9, 32767), ("DISARM_DELAY", -1e9, -128)),
-        *(("RTL_LOIT_TIME", 1e30, 2**31 - 1), ("GUID_TIMEOUT", 1e30, 1e30)),
-    ],
-)
-def test_ardupilot_converts_to_the_type_whatever_type_is_named(
-    name: str, asked: float, kept: float
-) -> None:
+def test_ardupilot_converts_to_the_type_whatever_type_is_named() -> None:
     vehicle = Rig("ardupilot", links=2)
-    for kind in (REAL, INT8, INT32):
-        (told,) = put(vehicle, name, asked, kind)
-        assert told.param_value == pytest.approx(kept, rel=1e-6)
+    for name, asked, kept in (
+        *(("ANGLE_MAX", 4500.6, 4501), ("ANGLE_MAX", 1e9, 32767), ("DISARM_DELAY", -1e9, -128)),
+        *(("RTL_LOIT_TIME", 1e30, 2**31 - 1), ("GUID_TIMEOUT", 1e30, 1e30)),
+    ):
+        for kind in (REAL, INT8, INT32):
+            (told,) = put(vehicle, name, asked, kind)
+            assert told.param_value == pytest.approx(kept, rel=1e-6), name
 
 
 @given(value=st.integers(-(2**31), 2**31 - 1).filter(lambda v: v & 0x7FC00000 != 0x7F800000))

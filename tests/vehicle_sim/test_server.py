@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
-from typing import Any
 
 import pytest
 from clients import Client, Process, Running, is_question, tcp_client, udp_client
@@ -17,13 +16,6 @@ from vehicle_sim.errors import InputError
 from vehicle_sim.links import Link, open_link, parse_endpoint
 
 Serve, Start = Callable[..., Running], Callable[..., Process]
-Table = dict[str, Any]
-
-
-def numbered(table: Table, count: int) -> list[Table]:
-    """So many vehicles, of systems that count up."""
-    vehicle = table["vehicle"]
-    return [table | {"vehicle": vehicle | {"system_id": k + 1}} for k in range(count)]
 
 
 # --- lockstep -------------------------------------------------------------------------------------
@@ -72,11 +64,11 @@ def test_silence_in_lockstep_is_an_error_that_says_what_is_missing(
     assert "no heartbeat" in str(run.error)
 
 
-def test_each_of_several_vehicles_flies_its_own_time(serve: Serve, world_table: Table) -> None:
+def test_each_of_several_vehicles_flies_its_own_time(serve: Serve) -> None:
     """The clock of the one whose companion ends first stands, and the other's goes on."""
     with udp_client() as first, udp_client(ids=(2, 195)) as second:
         both = f"{first.endpoint} {second.endpoint}"
-        run = serve(both, *numbered(world_table, 2), lockstep=True, duration_s=3.0)
+        run = serve(both, count=2, lockstep=True, duration_s=3.0)
         first.begin()
         second.begin()
         last_ns = 0
@@ -122,13 +114,11 @@ def test_it_goes_on_through_a_reboot_and_when_a_tcp_client_connects_again(serve:
     assert run.error is None
 
 
-@pytest.mark.parametrize(
-    "bad",
-    [
-        ("link_duplication 30 %", "link_loss 20 %", "link_delay 50 ms jitter 30 ms"),
-        pytest.param(("link_off",), marks=pytest.mark.nightly),
-    ],
-)
+BAD = "link_duplication 30 %", "link_loss 20 %", "link_delay 50 ms jitter 30 ms"
+
+
+@pytest.mark.sample(2)
+@pytest.mark.parametrize("bad", [BAD, ("link_off",)])
 def test_links_that_are_bad_from_the_start_neither_stop_it_nor_depend_on_when_one_comes(
     serve: Serve, bad: tuple[str, ...]
 ) -> None:
@@ -289,10 +279,10 @@ def test_tcp_clients_come_one_after_the_other_and_who_does_not_read_loses_whole_
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_half_a_frame_of_a_client_that_has_gone_swallows_nothing_of_the_next(
-    serve: Serve, world_table: Table, count: int
+    serve: Serve, count: int
 ) -> None:
     """Of one vehicle and of a link that two share."""
-    run = serve("tcpin:127.0.0.1:0", *numbered(world_table, count))
+    run = serve("tcpin:127.0.0.1:0", count)
     for half in (b"\xfd\xff\0\0\0\1\1", b""):
         with tcp_client(run.port) as client:
             client.send(client.command(42, target=(count, 1)))

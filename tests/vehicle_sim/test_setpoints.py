@@ -5,11 +5,13 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from harness import ALL, NAN, POSITION, POSITION_VELOCITY, VELOCITY, Vector
+from harness import NAN, Vector
 
 from vehicle_sim.autopilot.setpoints import Stop, Target, read_by_arducopter, read_by_px4
 from vehicle_sim.autopilot.values import Setpoint
 
+POSITION, POSITION_VELOCITY, ALL, VELOCITY = 0xDF8, 0xDC0, 0xC00, 0xDC7
+"""Masks."""
 PLACE, SPEED, PUSH = (40.0, -7.0, -33.0), (2.0, 1.0, -0.5), (0.3, -0.2, 0.1)
 NOTHING, GLOBAL = (NAN, NAN, NAN), (47.4, 8.5, 500.0)
 EAST_RAD = math.pi / 2.0
@@ -49,31 +51,29 @@ P, PV, PVA = asked(PLACE), asked(PLACE, SPEED), asked(PLACE, SPEED, PUSH)
 V, VA, A = asked(NOTHING, SPEED), asked(NOTHING, SPEED, PUSH), asked(NOTHING, NOTHING, PUSH)
 
 
-@pytest.mark.parametrize(
-    ("mask", "by_arducopter", "by_px4"),
-    [
-        *((0xDF8, P, P), (0xDC0, PV, PV), (0xC00, PVA, PVA), (0x9C0, PV, PV), (0x5C0, PV, PV)),
-        *((0x000, PVA, PVA), (0xDC7, V, V), (0xC07, VA, VA), (0xC3F, A, A), (0xFFF, None, None)),
-        # one axis ignored: the whole group, or this axis
-        (0xDC1, V, asked((NAN, -7.0, -33.0), SPEED)),
-        (0xDE0, P, asked(PLACE, (2.0, 1.0, NAN))),
-        (0xD40, PV, asked(PLACE, SPEED, (NAN, -0.2, NAN))),
-        (0xDE3, None, asked((NAN, NAN, -33.0), (2.0, 1.0, NAN))),
-        (0xDDC, None, asked((40.0, -7.0, NAN), (NAN, NAN, -0.5))),
-        (0xC38, None, asked(PLACE, NOTHING, PUSH)),  # a push needs a velocity beside a place
-        *((0xFC0, PV, PV), (0xE00, None, None)),  # force without an acceleration, and with it
-        *((0xFDC0, PV, PV), (0x1DF8, P, P)),  # bits above 11
-    ],
-)
-def test_arducopter_takes_whole_groups_or_stops_and_px4_takes_each_axis_by_itself(
-    mask: int, by_arducopter: Any, by_px4: Any
-) -> None:
-    for read, taken in ((read_by_arducopter, by_arducopter), (read_by_px4, by_px4)):
-        target: Target | Stop | None = read(given(mask), 0.0)  # type: ignore[operator]
-        assert told(target) == taken
-        if isinstance(target, Target):
-            assert math.isnan(target.yaw_rad) is bool(mask & 0x400)
-            assert math.isnan(target.yaw_rate_rad_s) is bool(mask & 0x800)
+MASKS = [  # and what ArduCopter and PX4 take
+    *((0xDF8, P, P), (0xDC0, PV, PV), (0xC00, PVA, PVA), (0x9C0, PV, PV), (0x5C0, PV, PV)),
+    *((0x000, PVA, PVA), (0xDC7, V, V), (0xC07, VA, VA), (0xC3F, A, A), (0xFFF, None, None)),
+    # one axis ignored: the whole group, or this axis
+    (0xDC1, V, asked((NAN, -7.0, -33.0), SPEED)),
+    (0xDE0, P, asked(PLACE, (2.0, 1.0, NAN))),
+    (0xD40, PV, asked(PLACE, SPEED, (NAN, -0.2, NAN))),
+    (0xDE3, None, asked((NAN, NAN, -33.0), (2.0, 1.0, NAN))),
+    (0xDDC, None, asked((40.0, -7.0, NAN), (NAN, NAN, -0.5))),
+    (0xC38, None, asked(PLACE, NOTHING, PUSH)),  # a push needs a velocity beside a place
+    *((0xFC0, PV, PV), (0xE00, None, None)),  # force without an acceleration, and with it
+    *((0xFDC0, PV, PV), (0x1DF8, P, P)),  # bits above 11
+]
+
+
+def test_arducopter_takes_whole_groups_or_stops_and_px4_takes_each_axis_by_itself() -> None:
+    for mask, *taken in MASKS:
+        for read, wanted in zip((read_by_arducopter, read_by_px4), taken, strict=True):
+            target: Target | Stop | None = read(given(mask), 0.0)  # type: ignore[operator]
+            assert told(target) == wanted, hex(mask)
+            if isinstance(target, Target):
+                assert math.isnan(target.yaw_rad) is bool(mask & 0x400)
+                assert math.isnan(target.yaw_rate_rad_s) is bool(mask & 0x800)
 
 
 @pytest.mark.parametrize(
@@ -99,24 +99,24 @@ def test_only_in_some_frames_a_setpoint_is_taken(
         assert position is None or targets[frame].position == pytest.approx(position, nan_ok=True)
 
 
-@pytest.mark.parametrize(
-    ("setpoint", "is_told"),
-    [
-        *((globally(POSITION, p), False) for p in ((91.0, 8.5, 500.0), (47.0, 180.5, 500.0))),
-        *((given(POSITION_VELOCITY, velocity=(v, 0, 0)), False) for v in (NAN, 1001.0, -1001.0)),
-        # what the real one does not survive
-        *((given(POSITION, p), True) for p in ((NAN, 0, -30), (0, 0, NAN), (1e9, 0, -30))),
-        *((globally(POSITION, (47.0, 8.0, z)), True) for z in (NAN, 1e9)),
-        (given(ALL, acceleration=(NAN, 0.0, 0.0)), True),
-        (given(0x9F8, yaw_rad=NAN), True),
-    ],
-)
-def test_wild_numbers_stop_arducopter_and_those_are_told_that_the_real_one_does_not_survive(
-    setpoint: Setpoint, *, is_told: bool
-) -> None:
-    target = read_by_arducopter(setpoint, 0.0)
-    assert isinstance(target, Stop)
-    assert target.text.startswith("SIM:") is is_told
+WILD = [  # and whether it is told that the real one does not survive it
+    *((globally(POSITION, p), False) for p in ((91.0, 8.5, 500.0), (47.0, 180.5, 500.0))),
+    *((given(POSITION_VELOCITY, velocity=(v, 0, 0)), False) for v in (NAN, 1001.0, -1001.0)),
+    # what the real one does not survive
+    *((given(POSITION, p), True) for p in ((NAN, 0, -30), (0, 0, NAN), (1e9, 0, -30))),
+    *((globally(POSITION, (47.0, 8.0, z)), True) for z in (NAN, 1e9)),
+    (given(ALL, acceleration=(NAN, 0.0, 0.0)), True),
+    (given(0x9F8, yaw_rad=NAN), True),
+]
+
+
+def test_wild_numbers_stop_arducopter_and_those_are_told_that_the_real_one_does_not_survive() -> (
+    None
+):
+    for setpoint, is_told in WILD:
+        target = read_by_arducopter(setpoint, 0.0)
+        assert isinstance(target, Stop), setpoint
+        assert target.text.startswith("SIM:") is is_told, setpoint
 
 
 def test_not_a_number_in_what_is_ignored_is_harmless_and_to_px4_is_an_axis_not_given() -> None:

@@ -27,7 +27,7 @@ LOOSER = {
 )
 def test_arducopter_follows_a_weaving_route_as_measured(row: tracked.Weave) -> None:
     """The document does not tell the wave length of its routes."""
-    got = tracked.fly_weave(row, seconds=54.0)
+    got = tracked.fly_weave(row)
     if (row.speed_m_s, row.kind) in LOOSER:
         assert got.along_m == approx(row.along_m, rel=0.35)
         assert got.off_rms_m == approx(row.off_rms_m, abs=0.35, rel=0.4)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from harness import STEP_S, ZERO, Rig, Vector, circling, copied, cruising, hover, hovering
+from harness import STEP_S, Rig, Vector, circling, cruising, hover, hovering
 from numpy.typing import NDArray
 
 from vehicle_sim.geodesy import FloatArray
@@ -62,10 +62,6 @@ class Sine:
         return np.unwrap(index, period=len(self.at)) * self.step_m, right_m
 
 
-Off = namedtuple("Off", "rms_m most_m speed_m_s")
-"""How far off a route a plane flew, and how fast over the ground."""
-
-
 def _rms(values: Any) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
@@ -83,68 +79,83 @@ class Seen(NamedTuple):
     """Where it believed to be."""
     down_m: FloatArray
     moves_m_s: Level
-    climb_m_s: FloatArray
-    lean_deg: FloatArray
 
 
-def _flown(
-    rig: Rig, seconds: float, hz: float, send: Callable[[int, Any], object], since_s: float = 0.0
-) -> Seen:
+def _flown(rig: Rig, seconds: float, hz: float, send: Callable[[int, Any], object]) -> Seen:
     """Send at this rate, with the number of the step and what was seen, and look."""
-    every, seen, vehicle = round(1.0 / hz / STEP_S), list[Any](), rig.vehicle
+    every, seen = round(1.0 / hz / STEP_S), list[Any]()
     for k in range(round(seconds / STEP_S)):
         if k % every == 0:
             send(k, seen)
         rig.step()
-        if k % 5 == 0 and k * STEP_S >= since_s:
-            (north, east, down), moves = rig.ned_m, vehicle.velocity_m_s
-            lean_rad = math.acos(math.cos(vehicle.roll_rad) * math.cos(vehicle.pitch_rad))
-            lean_deg, climb_m_s = math.degrees(lean_rad), vehicle.velocity_up_m_s
-            seen.append((k, complex(north, east), down, moves, climb_m_s, lean_deg))
+        if k % 5 == 0:
+            north, east, down = rig.ned_m
+            seen.append((k, complex(north, east), down, rig.vehicle.velocity_m_s))
     return Seen(*map(np.array, zip(*seen, strict=True)))
+
+
+# --- copters: told where a target is --------------------------------------------------------------
+
+Tracking = namedtuple(
+    "Tracking", "along_mean_m along_max_m cross_rms_m cross_max_m altitude_rms_m speed_m_s"
+)
+"""How far a vehicle is behind its target along the route, beside the route, and off in height."""
+
+
+class Target(NamedTuple):
+    """What is followed: it gathers speed along the route, and goes up and down as it goes."""
+
+    route: Sine
+    speed_m_s: float
+    ramp_m_s2: float = 1.0
+    height_m: float = 30.0
+    wave_m: float = 0.0
+    wave_length_m: float = 1.0
+
+    def moved(self, elapsed_s: Any) -> tuple[Any, Any]:
+        """How far it has come, and how fast it is."""
+        ramped_s = np.minimum(elapsed_s, self.speed_m_s / self.ramp_m_s2)
+        moving_m_s = self.ramp_m_s2 * ramped_s
+        return moving_m_s * (elapsed_s - 0.5 * ramped_s), moving_m_s
+
+    def down_m(self, along_m: Any) -> Any:
+        return -self.height_m - self.wave_m * np.sin(math.tau * along_m / self.wave_length_m)
+
+    def tell(self, rig: Rig, elapsed_s: float, kind: str, *, yaw: bool = False) -> None:
+        """A setpoint of this kind, some ahead of their time; in LOCAL_NED or GLOBAL_INT."""
+        along_m, moving_m_s = map(float, self.moved(elapsed_s))
+        along_m += moving_m_s * (0.15 if "0.15 s ahead" in kind else 0.0)
+        there, turn_1_m = self.route.ahead(0, along_m), math.tau / self.wave_length_m
+        sinks_m_s = -moving_m_s * self.wave_m * turn_1_m * math.cos(turn_1_m * along_m)
+        way, bend_1_m = self.route.way[there], self.route.curvature_1_m[there]
+        place = _flat(self.route.at[there], float(self.down_m(along_m)))
+        is_global = kind.startswith("GLOBAL")
+        if is_global:
+            latitude_deg, longitude_deg, _ = rig.place(*place)
+            place = (latitude_deg, longitude_deg, -place[2])
+        rig.aim(
+            place if "pos" in kind else None,
+            _flat(moving_m_s * way, sinks_m_s) if "vel" in kind else None,
+            _flat(1j * moving_m_s**2 * bend_1_m * way) if "acc" in kind else None,
+            float(self.route.heading_rad[there]) if yaw else None,
+            frame=6 if is_global else 1,
+            is_global=is_global,
+        )
+
+    def left_behind(self, seen: Seen, since_s: float) -> Tracking:
+        """How well it was followed, from then on."""
+        along_m, cross_m = self.route.followed(seen.ne_m)
+        behind_m = self.moved((seen.step + 1) * STEP_S)[0] - along_m
+        off = behind_m, cross_m, seen.down_m - self.down_m(along_m), np.abs(seen.moves_m_s)
+        behind, cross, high, speed = (each[seen.step * STEP_S >= since_s] for each in off)
+        most_m, aside_m = np.abs(behind).max(), np.abs(cross).max()
+        return Tracking(behind.mean(), most_m, _rms(cross), aside_m, _rms(high), speed.mean())
 
 
 # --- ArduCopter: ardupilot.md 3 -------------------------------------------------------------------
 
 PERIOD_S = 12.0
 """Of the weaving heading, which the document does not tell: this one agrees with it best."""
-
-
-def aim(it: Rig, kind: str, position: Vector, *derivatives: Vector) -> None:
-    """A setpoint of this kind, in LOCAL_NED or as GLOBAL_INT above home."""
-    if kind.startswith("GLOBAL"):
-        there = it.autopilot.frame.place(*position)
-        place = (there.latitude_deg, there.longitude_deg, -position[2])
-        it.aim(place, *derivatives[: 2 if "acc" in kind else 1], frame=6, is_global=True)
-    elif kind == "velocity":
-        it.aim(None, derivatives[0])
-    else:
-        it.aim(position, *derivatives[: kind.count("+")])
-
-
-def _ramp(share: Any) -> Any:
-    """From 0 to 1 without a corner."""
-    share = np.minimum(share, 1.0)
-    return share * share * (3.0 - 2.0 * share)
-
-
-def _moved(rate: Any) -> Any:
-    """What a rate of each step has come to before it."""
-    return (np.cumsum(rate, axis=0) - rate) * STEP_S
-
-
-def weave(speed_m_s: float, lateral_m_s2: float, seconds: float) -> tuple[FloatArray, ...]:
-    """Position, velocity and acceleration of each step: a sinusoidal heading of this lateral
-    acceleration, speed ramped up smoothly at 1 m/s2, and climbs of 1 m/s.  -> three of (T, 3).
-    """
-    time_s, w = STEP_S * np.arange(round(seconds / STEP_S)), math.tau / PERIOD_S
-    share = _ramp(time_s / (1.5 * speed_m_s))
-    course = lateral_m_s2 / (speed_m_s * w) * share * np.sin(w * time_s)
-    level, down_m_s = speed_m_s * share, -share * np.sin(math.tau / 40.0 * time_s)
-    velocity = np.stack([level * np.cos(course), level * np.sin(course), down_m_s], axis=-1)
-    return _moved(velocity) - (0.0, 0.0, 30.0), velocity, np.gradient(velocity, STEP_S, axis=0)
-
-
 Weave = namedtuple(
     "Weave", "speed_m_s lateral_m_s2 lean_deg kind rate_hz along_m off_rms_m off_max_m"
 )
@@ -167,7 +178,7 @@ WEAVES = (
     Weave(10, 1.5, 45, "pos+vel+acc", 1, -0.1, 0.51, 1.1),
     Weave(10, 1.5, 45, "velocity", 10, -6.8, 0.23, 0.36),
     Weave(10, 1.5, 45, "GLOBAL pos+vel", 10, -0.3, 0.96, 1.4),
-    Weave(10, 1.5, 45, "GLOBAL +acc", 10, -0.3, 0.96, 1.4),
+    Weave(10, 1.5, 45, "GLOBAL pos+vel+acc", 10, -0.3, 0.96, 1.4),
     Weave(10, 2.4, 45, "pos+vel+acc", 10, -0.3, 0.53, 0.86),
     Weave(10, 3.5, 45, "pos+vel+acc", 10, -0.5, 0.72, 1.1),
     Weave(15, 1.8, 60, "position", 10, -69.0, 3.5, 5.9),
@@ -177,21 +188,18 @@ WEAVES = (
 )
 
 
-def fly_weave(row: Weave, *, seconds: float = 90.0) -> Weave:
-    """Stream a route and measure along and off it."""
-    speed_cm_s = max(row.speed_m_s, 10.0) * 100.0
+def fly_weave(row: Weave) -> Weave:
+    """Stream for 54 s a sinusoidal heading of this lateral acceleration, with climbs of 1 m/s."""
+    speed_m_s, speed_cm_s = row.speed_m_s, max(row.speed_m_s, 10.0) * 100.0
     it = hovering(lean_deg=row.lean_deg, WPNAV_SPEED=speed_cm_s, GUID_TIMEOUT=3.0)
-    route = position, velocity, _ = weave(row.speed_m_s, row.lateral_m_s2, seconds)
-
-    def send(k: int, _: Any) -> None:
-        aim(it, row.kind, *(each[k].tolist() for each in route))
-
-    seen = _flown(it, seconds, row.rate_hz, send, since_s=40.0)
-    there, way = (each[:, 0] + 1j * each[:, 1] for each in (position, velocity))
-    way, off_m = way[seen.step], [np.abs(there - here).min() for here in seen.ne_m]
-    # the step has been flown by now
-    ahead_m = ((seen.ne_m - there[seen.step]) / way).real * np.abs(way) - np.abs(way) * STEP_S
-    return row._replace(along_m=ahead_m.mean(), off_rms_m=_rms(off_m), off_max_m=max(off_m))
+    wave_m, swing_rad = speed_m_s * PERIOD_S, row.lateral_m_s2 / speed_m_s * PERIOD_S / math.tau
+    route = Sine(swing_rad, wave_m, 10.0 * wave_m, 0.02)
+    target = Target(route, speed_m_s, wave_m=40.0 / math.tau, wave_length_m=40.0 * speed_m_s)
+    seen = _flown(it, 54.0, row.rate_hz, lambda k, _: target.tell(it, k * STEP_S, row.kind))
+    got = target.left_behind(seen, since_s=40.0)
+    return row._replace(
+        along_m=-got.along_mean_m, off_rms_m=got.cross_rms_m, off_max_m=got.cross_max_m
+    )
 
 
 Stop = namedtuple("Stop", "kind timeout_s brakes_s still_s furthest_m ends_m")
@@ -211,31 +219,24 @@ STOPS = (
 def end_stream(row: Stop) -> Stop:
     """Fly straight at 10 m/s for 35 s, end the stream, and measure."""
     it, last = hovering(GUID_TIMEOUT=row.timeout_s, WPNAV_SPEED=1000.0), 3490
-    speed = 10.0 * _ramp(np.arange(last + 1) * STEP_S / 15.0)
-    north = _moved(speed).tolist()
+    target = Target(Sine(0.0, 1.0, 400.0, 0.02), 10.0)
 
     def send(k: int, _: Any) -> None:
         if k <= last:
-            aim(it, row.kind, (north[k], 0.0, -30.0), (float(speed[k]), 0.0, 0.0), ZERO)
+            target.tell(it, k * STEP_S, row.kind)
 
-    seen = _flown(it, 65.0, 10.0, send, since_s=last * STEP_S)
-    after_s, ahead_m = (seen.step + 1 - last) * STEP_S, seen.ne_m.real - north[last]
-    brakes_s, still_s = (after_s[seen.moves_m_s.real < slow][0] for slow in (9.5, 0.1))
+    seen = _flown(it, 65.0, 10.0, send)
+    after = seen.step >= last
+    ahead_m = seen.ne_m[after].real - target.moved(last * STEP_S)[0]
+    after_s = (seen.step[after] + 1 - last) * STEP_S
+    brakes_s, still_s = (after_s[seen.moves_m_s[after].real < slow][0] for slow in (9.5, 0.1))
     return Stop(row.kind, row.timeout_s, brakes_s, still_s, ahead_m.max(), ahead_m[-1])
 
 
 # --- PX4's multicopter: px4.md 5 ------------------------------------------------------------------
 
-EIGHT: Final = Sine(SWING_RAD, 756.0, 756.0, 0.02)
-"""A figure eight of least radius 50 m."""
-_LENGTH_M, _HEIGHT_M, _WAVE_M, _RAMP_M_S2 = 756.0, 20.0, 3.0, 2.0
-"""With 3 m of height up and down, and of a target that gathers speed."""
-Tracking = namedtuple(
-    "Tracking", "along_mean_m along_max_m cross_rms_m cross_max_m altitude_rms_m speed_m_s"
-)
-"""How well."""
 Eight = namedtuple("Eight", "kind speed_m_s rate_hz real")
-"""One row of the table: what is sent, some of it ahead of its time."""
+"""One row of the table: what is sent, and how it was followed."""
 EIGHTS: Final = tuple(
     Eight(kind, float(speed), float(rate), Tracking(*map(float, re.findall(r"[-.\d]+", figures))))
     for speed, kind, rate, figures in re.findall(
@@ -244,50 +245,24 @@ EIGHTS: Final = tuple(
 )
 
 
-def _down_m(along_m: Any) -> Any:
-    return -_HEIGHT_M - _WAVE_M * np.sin(math.tau * along_m / _LENGTH_M)
-
-
 def fly_eight(row: Eight) -> Tracking:
-    """One run of 42 s; measured 2 s after the target has gathered its speed, at 9 s at least."""
-    rig, ramp_s = hover(20.0), row.speed_m_s / _RAMP_M_S2
-
-    def moved(elapsed_s: Any) -> tuple[Any, Any]:
-        """Distance of the target, and how fast it is."""
-        ramped_s = np.minimum(elapsed_s, ramp_s)
-        moving_m_s = _RAMP_M_S2 * ramped_s
-        return moving_m_s * (elapsed_s - 0.5 * ramped_s), moving_m_s
+    """A figure eight of least radius 50 m, with 3 m of height up and down; measured 2 s after the
+    target has gathered its speed, at 9 s at least."""
+    rig, length_m = hover(20.0), 756.0
+    route = Sine(SWING_RAD, length_m, length_m, 0.02)
+    target = Target(route, row.speed_m_s, 2.0, 20.0, wave_m=3.0, wave_length_m=length_m)
 
     def send(k: int, _: Any) -> None:
-        target_m, moving_m_s = map(float, moved(k * STEP_S))
-        target_m += moving_m_s * (0.15 if "0.15 s ahead" in row.kind else 0.0)
-        there, phase = EIGHT.ahead(0, target_m), math.tau * target_m / _LENGTH_M
-        sinks_m_s = -moving_m_s * _WAVE_M * math.tau / _LENGTH_M * math.cos(phase)
-        way, bend_1_m = EIGHT.way[there], EIGHT.curvature_1_m[there]
-        rig.aim(
-            _flat(EIGHT.at[there], float(_down_m(target_m))) if "pos" in row.kind else None,
-            _flat(moving_m_s * way, sinks_m_s) if "vel" in row.kind else None,
-            _flat(1j * moving_m_s**2 * bend_1_m * way) if "acc" in row.kind else None,
-            float(EIGHT.heading_rad[there]),
-        )
+        target.tell(rig, k * STEP_S, row.kind, yaw=True)
 
-    seen = _flown(rig, 42.0, row.rate_hz, send)
-    along_m, cross_m = EIGHT.followed(seen.ne_m)
-    counts = seen.step * STEP_S >= max(9.0, ramp_s + 2.0)
-    behind, cross, high, speed = (
-        each[counts]
-        for each in (
-            moved((seen.step + 1) * STEP_S)[0] - along_m,
-            cross_m,
-            seen.down_m - _down_m(along_m),
-            np.abs(seen.moves_m_s),
-        )
-    )
-    most_m, aside_m = np.abs(behind).max(), np.abs(cross).max()
-    return Tracking(behind.mean(), most_m, _rms(cross), aside_m, _rms(high), speed.mean())
+    since_s = max(9.0, row.speed_m_s / target.ramp_m_s2 + 2.0)
+    return target.left_behind(_flown(rig, 42.0, row.rate_hz, send), since_s)
 
 
 # --- planes: aimed from the point of the route nearest to where the vehicle was -------------------
+
+Off = namedtuple("Off", "rms_m most_m speed_m_s")
+"""How far off a route a plane flew, and how fast over the ground."""
 
 
 def _followed(
@@ -296,13 +271,12 @@ def _followed(
     aim: Callable[[int], object],
     *,
     hz: float,
+    since_s: float,
     seconds: float,
-    counts: Callable[[Any, Any], Any],
     begin: int = 0,
     age: int = 0,
 ) -> Off:
-    """Aim from the point nearest to where the vehicle was, so many looks ago; counts: which of the
-    seconds and metres along."""
+    """Aim from the point nearest to where the vehicle was, so many looks ago."""
     index = begin
 
     def send(_: int, seen: Sequence[Any]) -> None:
@@ -312,10 +286,9 @@ def _followed(
         aim(index)
 
     seen = _flown(rig, seconds, hz, send)
-    along_m, right_m = route.followed(seen.ne_m, begin)
-    there = counts(seen.step * STEP_S, along_m)
-    off_m, speed_m_s = right_m[there], np.abs(seen.moves_m_s[there])
-    return Off(_rms(off_m), float(np.abs(off_m).max()), float(speed_m_s.mean()))
+    there = seen.step * STEP_S >= since_s
+    off_m = route.followed(seen.ne_m, begin)[1][there]
+    return Off(_rms(off_m), np.abs(off_m).max(), np.abs(seen.moves_m_s[there]).mean())
 
 
 # --- ArduPlane: ardupilot.md 7 --------------------------------------------------------------------
@@ -336,54 +309,25 @@ LOOK_AHEADS: Final = tuple(
 )
 
 
-@copied
-def _before_the_route() -> Rig:
-    """400 m south of home, where routes begin."""
-    rig = circling(0.0, AIRSPEED_CRUISE=20.0)
-    for to_m, from_m in ((-900.0, -800.0), (-200.0, -410.0)):
-        rig.reposition(to_m, 0.0, 80.0, 10.0)
-        rig.until(lambda: (rig.ne_m[0] > from_m) is (to_m > -900.0))  # noqa: B023
-    return rig
-
-
 def fly_look_ahead(row: LookAhead) -> Off:
     """At an airspeed of 20 m/s along a route that swings by 25 deg; its first 400 m apart."""
     swing_rad, speed_m_s = math.radians(25.0), 21.0
     # curvature at most swing * 2 pi / wave = lateral / speed^2
     wave_m = swing_rad * math.tau * speed_m_s**2 / row.lateral_m_s2
-    route, rig = Sine(swing_rad, wave_m, 6000.0, 1.0), _before_the_route()
-    route.at -= 400.0
+    route, rig = Sine(swing_rad, wave_m, 6000.0, 1.0), circling(0.0, AIRSPEED_CRUISE=20.0)
+    rig.put_at(0.0, 0.0, 80.0, 0.0, speed_m_s=20.0)
 
     def send(nearest: int) -> None:
         there = route.at[route.ahead(nearest, row.ahead_m)]
         rig.reposition(*_flat(there, 80.0), row.radius_m)
 
-    return _followed(
-        rig,
-        route,
-        send,
-        hz=4.0,
-        seconds=100.0,
-        counts=lambda _, along_m: (along_m > 400.0) & (along_m < 5900.0),
-        age=AGE,
-    )
+    return _followed(rig, route, send, hz=4.0, since_s=20.0, seconds=100.0, age=AGE)
 
 
 # --- PX4's fixed wing: px4.md 10 ------------------------------------------------------------------
 
-_PLANE_HEIGHT_M, _ASKED_M_S = 70.0, 14.0
-"""The speed that is asked for means nothing."""
 _START = 3022
 """Where flights begin: what DO_REPOSITION measures in 70 s depends on it (30 to 51 m rms)."""
-_LEAD_IN_S, _PLANE_RUN_S = 25.0, 70.0
-
-
-def fixed_wing_route() -> Sine:
-    """A figure eight of least radius 100 m, 1511 m long; its heading goes with the cosine."""
-    length_m = SWING_RAD * math.tau * 100.0
-    return Sine(SWING_RAD, length_m, length_m, length_m / 6044, math.pi / 2.0)
-
-
 FixedWing = namedtuple("FixedWing", "name rms_m most_m")
 """One row of the table."""
 FIXED_WING: Final = tuple(
@@ -401,10 +345,12 @@ def _told(name: str, unit: str, otherwise: float) -> float:
 
 
 def fly_fixed(row: FixedWing) -> Off:
-    """Fly a row: the last 70 of 95 s along the curve count."""
-    route, sent = fixed_wing_route(), 0
+    """Along a figure eight of least radius 100 m, 1511 m long, whose heading goes with the cosine;
+    the last 70 of 95 s count."""
+    length_m, height_m, asked_m_s = SWING_RAD * math.tau * 100.0, 70.0, 14.0
+    route, sent = Sine(SWING_RAD, length_m, length_m, length_m / 6044, math.pi / 2.0), 0
     begins, heading_rad = route.at[_START], float(route.heading_rad[_START])
-    rig = cruising(begins.real, begins.imag, _PLANE_HEIGHT_M - 2.0, heading_rad)
+    rig = cruising(begins.real, begins.imag, height_m - 2.0, heading_rad)
 
     def send(nearest: int) -> None:
         nonlocal sent
@@ -412,21 +358,14 @@ def fly_fixed(row: FixedWing) -> Off:
         index = route.ahead(nearest, _told(row.name, "m", 0.0))
         at, way, bend_1_m = route.at[index], route.way[index], route.curvature_1_m[index]
         if row.name.startswith("DO_REPOSITION"):
-            rig.reposition(*_flat(at, _PLANE_HEIGHT_M))
+            rig.reposition(*_flat(at, height_m))
             return
         if sent == 3:
             rig.set_mode("Offboard")
-        lateral = _ASKED_M_S**2 * bend_1_m * (-1.0 if "- acc" in row.name else 1.0)
-        vectors = _flat(_ASKED_M_S * way), _flat(1j * lateral * way)
+        lateral = asked_m_s**2 * bend_1_m * (-1.0 if "- acc" in row.name else 1.0)
+        vectors = _flat(asked_m_s * way), _flat(1j * lateral * way)  # that speed means nothing
         given = ("vel" in row.name) + ("acc" in row.name)
-        rig.aim(_flat(at, -_PLANE_HEIGHT_M), *vectors[:given])
+        rig.aim(_flat(at, -height_m), *vectors[:given])
 
-    return _followed(
-        rig,
-        route,
-        send,
-        hz=_told(row.name, "Hz", 10.0),
-        seconds=_LEAD_IN_S + _PLANE_RUN_S,
-        counts=lambda time_s, _: time_s >= _LEAD_IN_S,
-        begin=_START,
-    )
+    rate_hz = _told(row.name, "Hz", 10.0)
+    return _followed(rig, route, send, hz=rate_hz, since_s=25.0, seconds=95.0, begin=_START)

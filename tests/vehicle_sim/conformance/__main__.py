@@ -17,7 +17,8 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None)
 @app.command()
 def conformance(
     logs: Annotated[
-        list[Path], typer.Argument(metavar="LOG...", help="A recorded flight: .tlog or .tlog.xz.")
+        list[Path],
+        typer.Argument(metavar="LOG...", exists=True, dir_okay=False, help="A .tlog or .tlog.xz."),
     ],
 ) -> None:
     """Play the client of a recorded flight into the simulator and compare what comes back.

@@ -1,12 +1,12 @@
 """A recorded flight, what it does not say of itself (flights.toml), and its client flown again."""
 
 import dataclasses
-import fnmatch
 import functools
 import lzma
 import math
 import re
 import tomllib
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -34,21 +34,17 @@ class Side:
     """Everything that one autopilot said, by message."""
 
     def __init__(self, said: Iterable[Heard]) -> None:
-        self._frames = dict[int, list[Heard]]()
+        self._heard = defaultdict[int, list[Heard]](list)
         for one in said:
-            self._frames.setdefault(one.number, []).append(one)
-        self.of = functools.cache(self._of)
-        """Time and message of each of these."""
-
-    @property
-    def numbers(self) -> set[int]:
-        return set(self._frames)
+            self._heard[one.number].append(one)
+        self.numbers = {*self._heard}
 
     def heard(self, number: int) -> Sequence[Heard]:
-        return self._frames.get(number, ())
+        return self._heard[number]
 
-    def _of(self, number: int) -> Sequence[tuple[float, Any]]:
-        return [(one.at_s, one.message) for one in self.heard(number)]
+    def of(self, number: int) -> Sequence[tuple[float, Any]]:
+        """Time and message of each of these."""
+        return [(one.at_s, one.message) for one in self._heard[number]]
 
 
 # --- log time and vehicle time --------------------------------------------------------------------
@@ -115,14 +111,9 @@ def records(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def read_recording(path: Path) -> Recording:
-    """The flight in this file, a .tlog or .tlog.xz.  InputError if it cannot be read."""
-    try:
-        data = path.read_bytes()
-        data = lzma.decompress(data) if path.suffix == ".xz" else data
-    except (OSError, lzma.LZMAError) as error:
-        rule = f"cannot be read ({getattr(error, 'strerror', error)})"
-        raise InputError("LOG", str(path), rule, "Name a .tlog or .tlog.xz.") from None
-    told = list(records(data))
+    """The flight in this file, a .tlog or .tlog.xz."""
+    data = path.read_bytes()
+    told = list(records(lzma.decompress(data) if path.suffix == ".xz" else data))
     raw = [Heard((time_us - told[0][0]) * 1e-6, frame) for time_us, frame in told]
     beats = (one for one in raw if one.number == _HEARTBEAT)
     beat = next(one for one in beats if one.message.autopilot in _FIRMWARES)
@@ -192,8 +183,6 @@ class Posts(msgspec.Struct, frozen=True, kw_only=True):
 class Reason(msgspec.Struct, frozen=True, kw_only=True):
     """Why some rows do not agree: regular expressions for the whole of what they say."""
 
-    recordings: str
-    """Shell pattern of the file's name."""
     kind: str
     names: str
     why: str
@@ -226,26 +215,19 @@ class Flight(msgspec.Struct, frozen=True, kw_only=True):
     reasons: Sequence[Reason] = ()
 
 
-class _Known(msgspec.Struct, frozen=True):
-    flights: Sequence[Flight]
-    reasons: Sequence[Reason]
-
-
 @functools.cache
-def _known() -> _Known:
+def _known() -> dict[str, Flight]:
     text = Path(__file__).with_name("flights.toml").read_text(encoding="utf-8")
-    return msgspec.convert(tomllib.loads(text), _Known)
+    flights = msgspec.convert(tomllib.loads(text)["flights"], list[Flight])
+    return {flight.recording: flight for flight in flights}
 
 
 def flight_of(name: str) -> Flight:
     """What is known of the recording of this name; InputError if that is nothing."""
-    known = _known()
-    flight = next((each for each in known.flights if each.recording == name), None)
-    if flight is None:
+    if name not in _known():
         rule = "nobody knows where its vehicle stood"
         raise InputError("LOG", name, rule, "Add a [[flights]] with its home to flights.toml.")
-    reasons = [each for each in known.reasons if fnmatch.fnmatchcase(name, each.recordings)]
-    return msgspec.structs.replace(flight, reasons=reasons)
+    return _known()[name]
 
 
 # --- the client's half of it into a simulation, in vehicle time -----------------------------------

@@ -15,7 +15,7 @@ from conformance.rows import NOTHING, Comparison, Row, apart
 
 _SYS_STATUS, _ATTITUDE, _DISTANCE_SENSOR, _SIMSTATE = 1, 30, 132, 164
 _PROXIMITY = 0x4000000
-_SECTORS, _FIRST_ID = 8, 10
+_FIRST_ID = 10
 _AGE_S = 0.05
 _BEAMS = 31
 _REACH_M, _EDGE_M, _NEAR_M, _FAR_M = 16.0, 0.5, 0.3, 99.0
@@ -38,14 +38,7 @@ def lidar_rows(comparison: Comparison) -> Iterator[Row]:
     if flight.posts is None:
         return
     real, simulated = (_found(side, flight, flight.posts) for side in comparison.sides)
-    names = [
-        (kind, f"sector {k}")
-        for k in range(_SECTORS)
-        for kind in ("lidar count", "lidar error", "lidar echoes")
-    ]
-    names += [("bogus empties", "longest row"), ("bogus empties", "share of all")]
-    names += [("stale echo", "longest"), ("healthy silence", "longest")]
-    for kind, name in names:
+    for kind, name in dict.fromkeys((*real, *simulated)):
         tolerance = _TOLERANCES.get(kind) or _TOLERANCES[name]
         pair = real.get((kind, name)), simulated.get((kind, name))
         shown = [NOTHING if value is None else f"{value:.3g}" for value in pair]

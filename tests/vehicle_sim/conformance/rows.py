@@ -50,11 +50,18 @@ class Row(NamedTuple):
         return self.difference <= 1.0
 
 
-def apart(real: float | None, simulated: float | None, tolerance: float) -> float:
-    """How far, in tolerances; inf where one side has nothing."""
+def apart(real: Any, simulated: Any, tolerance: Any) -> float:
+    """How far, in tolerances, and of several the most; inf where one side has nothing.
+
+    NaN is like NaN only, and without a tolerance they are equal or not.
+    """
     if real is None or simulated is None:
         return math.inf
-    return abs(real - simulated) / tolerance
+    a, b = np.array(real, float), np.array(simulated, float)
+    unlike = (a != b) & ~(np.isnan(a) & np.isnan(b))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        off = np.where(unlike, np.abs(a - b) / tolerance, 0.0)
+    return float(np.where(np.isnan(off), math.inf, off).max(initial=0.0))
 
 
 class Comparison:
@@ -185,23 +192,30 @@ Answers = list[tuple[float, int]]
 
 def ack_rows(comparison: Comparison) -> Iterator[Row]:
     """A row for each command: the results of its COMMAND_ACKs in order, and their times."""
-    messages = [(o.at_s, o.message) for o in comparison.recording.sent if o.number in _COMMANDS]
-    sent = [(time_s, message.command) for time_s, message in messages]
-    ours, theirs = (_answers(sent, side.of(_ACK)) for side in comparison.sides)
-    often = Counter(command for _, command in sent)
-    streamed = {command for command, n in often.items() if n > STREAMED} - _REQUESTS
-    for k, (time_s, message) in enumerate(messages):
-        if message.command not in streamed:
-            about = message.command in _REQUESTS
-            of = f" of {message_name(int(message.param1))}" if about else ""
-            yield _ack_row(f"command {message.command}{of}", time_s, ours[k], theirs[k])
-    for number in sorted(streamed):
-        places = [k for k, (_, command) in enumerate(sent) if command == number]
-        all_of = ([answer for k in places for answer in side[k]] for side in (ours, theirs))
-        yield _ack_row(f"command {number}, {len(places)} times", sent[places[0]][0], *all_of)
+    sent = [(one.at_s, one.message) for one in comparison.recording.sent if one.number in _COMMANDS]
+    answers = [_answers(sent, side.of(_ACK)) for side in comparison.sides]
+    often = Counter(message.command for _, message in sent)
+    rows = defaultdict[tuple[str, int], list[int]](list)
+    for k, (_, message) in enumerate(sent):
+        name, number = f"command {message.command}", k
+        if message.command in _REQUESTS:
+            name += f" of {message_name(int(message.param1))}"
+        elif often[message.command] > STREAMED:
+            name, number = f"{name}, {often[message.command]} times", -1
+        rows[name, number].append(k)
+    for (name, _), places in rows.items():
+        real, simulated = ([each for k in places for each in side[k]] for side in answers)
+        at_s, difference = sent[places[0]][0], math.inf
+        if [result for _, result in real] == [result for _, result in simulated]:
+            difference = apart([t for t, _ in real], [t for t, _ in simulated], ACK_S)
+        shown = [
+            ", ".join(f"{enum_name('MAV_RESULT', r)} +{t - at_s:.2f} s" for t, r in side[:5])
+            for side in (real, simulated)
+        ]
+        yield Row("ack", name, [each or NOTHING for each in shown], difference, at_s)
 
 
-def _answers(sent: Sequence[tuple[float, int]], acks: Sequence[tuple[float, Any]]) -> list[Answers]:
+def _answers(sent: Sequence[Event], acks: Sequence[Event]) -> list[Answers]:
     """Time and result of each command's acknowledgements.
 
     Commands about messages are answered once each, in order; any other answer belongs to the
@@ -209,26 +223,13 @@ def _answers(sent: Sequence[tuple[float, int]], acks: Sequence[tuple[float, Any]
     """
     answers: list[Answers] = [[] for _ in sent]
     for time_s, ack in acks:
-        asked = [
-            k for k, (at_s, number) in enumerate(sent) if number == ack.command and at_s <= time_s
-        ]
+        orders = enumerate(sent)
+        asked = [k for k, (at_s, m) in orders if m.command == ack.command and at_s <= time_s]
         if ack.command in _REQUESTS:
             asked = [k for k in asked if not answers[k]][:1]
         if asked:
             answers[asked[-1]].append((time_s, ack.result))
     return answers
-
-
-def _ack_row(name: str, at_s: float, real: Answers, simulated: Answers) -> Row:
-    difference = math.inf
-    if [result for _, result in real] == [result for _, result in simulated]:
-        late = (abs(a[0] - b[0]) for a, b in zip(real, simulated, strict=True))
-        difference = max(late, default=0.0) / ACK_S
-    shown = [
-        ", ".join(f"{enum_name('MAV_RESULT', r)} +{t - at_s:.2f} s" for t, r in side[:5]) or NOTHING
-        for side in (real, simulated)
-    ]
-    return Row("ack", name, shown, difference, at_s)
 
 
 # --- single answers -------------------------------------------------------------------------------
@@ -251,46 +252,29 @@ def once_rows(comparison: Comparison) -> Iterator[Row]:
         for field in real.fieldnames if real else ():
             if field in ("time_usec", "time_boot_ms"):
                 continue
-            ours, theirs = (getattr(m, field, NOTHING) for m in (real, simulated))
-            difference = math.inf
-            if simulated and field in _IDENTITY:
-                ours, theirs = ("given" if np.any(x) else "not given" for x in (ours, theirs))
-                difference = 0.0 if ours == theirs else math.inf
-            elif simulated:
-                difference = _apart(ours, theirs, _TOLERANCES.get(field, 0.0))
+            told = [getattr(m, field, None) for m in (real, simulated)]
+            if field in _IDENTITY:
+                told = [each and bool(np.any(each)) for each in told]
+            difference = apart(told[0], told[1], _TOLERANCES.get(field, 0.0))
             name = f"{message_name(number)}.{field}"
-            yield Row("said once", name, (str(ours), str(theirs)), difference)
-
-
-def _apart(ours: Any, theirs: Any, tolerance: float) -> float:
-    """The most, in tolerances, of numbers or lists of them; NaN is like NaN only."""
-    a, b = np.array(ours, float), np.array(theirs, float)
-    unlike = (a != b) & ~(np.isnan(a) & np.isnan(b))
-    if not tolerance:
-        return math.inf if unlike.any() else 0.0
-    off = np.abs(a - b)[unlike] / tolerance
-    return float(np.nan_to_num(off, nan=math.inf).max(initial=0.0))
+            yield Row("said once", name, [str(each) for each in told], difference)
 
 
 # --- what changes: modes, arming, landing, fixes, estimators; and what is exchanged ---------------
 
 _SLOWEST_S = 2.1
 _MODES = {("ardupilot", "copter"): "COPTER_MODE", ("ardupilot", "plane"): "PLANE_MODE"}
-_EXCHANGES = {39: ("seq", "command"), 40: ("seq",), 44: ("count",), 47: ("type",), 51: ("seq",)}
-_EXCHANGES |= {73: ("seq", "command")}
-"""Mission protocol: message number and the fields that tell, beside mission_type, what was said."""
+_EXCHANGES = {
+    39: "seq {0.seq}, command {0.command}, mission_type {0.mission_type}",
+    40: "seq {0.seq}, mission_type {0.mission_type}",
+    44: "count {0.count}, mission_type {0.mission_type}",
+    47: "type {0.type}, mission_type {0.mission_type}",
+    51: "seq {0.seq}, mission_type {0.mission_type}",
+    73: "seq {0.seq}, command {0.command}, mission_type {0.mission_type}",
+}
+"""Mission protocol: of each message what was said."""
+_ECHO = "coordinate_frame {0.coordinate_frame}, type_mask {0.type_mask:#x}"
 Told = Callable[[Any], str]
-
-
-def _fields(*names: str) -> Told:
-    def shown(value: int) -> str:
-        return hex(value) if value > 9 else str(value)
-
-    return lambda m: ", ".join(f"{name} {shown(getattr(m, name))}" for name in names)
-
-
-def _hex(name: str) -> Told:
-    return lambda m: f"{getattr(m, name):#x}"
 
 
 def _enum(enum: str, name: str) -> Told:
@@ -302,33 +286,35 @@ def state_rows(comparison: Comparison) -> Iterator[Row]:
     modes = _MODES.get((comparison.recording.firmware, comparison.recording.kind))
 
     def mode(name: str) -> Told:
-        return _enum(modes, name) if modes else lambda m: f"{getattr(m, name):#010x}"
+        return _enum(modes, name) if modes else f"{{0.{name}:#010x}}".format
 
-    echo = _fields("coordinate_frame", "type_mask")
     states: tuple[tuple[str, int, Told], ...] = (
         ("mode", 0, mode("custom_mode")),
         ("armed", 0, lambda m: "armed" if m.base_mode & 0x80 else "disarmed"),
         ("base mode", 0, lambda m: f"{m.base_mode & ~0x80:#x}"),
         ("system status", 0, _enum("MAV_STATE", "system_status")),
-        ("vehicle", 0, _fields("type", "autopilot", "mavlink_version")),
+        (
+            "vehicle",
+            0,
+            "type {0.type}, autopilot {0.autopilot}, mavlink {0.mavlink_version}".format,
+        ),
         ("landed", 245, _enum("MAV_LANDED_STATE", "landed_state")),
-        ("vtol", 245, _hex("vtol_state")),
+        ("vtol", 245, "{0.vtol_state:#x}".format),
         ("fix", 24, _enum("GPS_FIX_TYPE", "fix_type")),
-        ("estimator", 193, _hex("flags")),
-        ("estimator", 230, _hex("flags")),
+        ("estimator", 193, "{0.flags:#x}".format),
+        ("estimator", 230, "{0.flags:#x}".format),
         ("current mode", 436, mode("custom_mode")),
         ("intended mode", 436, mode("intended_custom_mode")),
-        ("mission", 42, _fields("seq", "total", "mission_state", "mission_mode")),
-        ("echo", 85, echo),
-        ("echo", 87, echo),
+        ("mission", 42, "{0.seq} of {0.total}, {0.mission_state}, {0.mission_mode}".format),
+        ("echo", 85, _ECHO.format),
+        ("echo", 87, _ECHO.format),
     )
     for kind, number, told in states:
         matches = paired(*(changes(side.of(number), told) for side in comparison.sides))
         seen_s = interval_s([one.at_s for one in comparison.real.heard(number)])
         yield from timed_rows(comparison, kind, matches, min(seen_s, _SLOWEST_S))
-    for number, fields in _EXCHANGES.items():
-        shown = _fields(*fields, "mission_type")
-        said = ([(t, shown(m)) for t, m in side.of(number)] for side in comparison.sides)
+    for number, told_of in _EXCHANGES.items():
+        said = ([(t, told_of.format(m)) for t, m in side.of(number)] for side in comparison.sides)
         yield from timed_rows(comparison, "exchange", paired(*said))
 
 

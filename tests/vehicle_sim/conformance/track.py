@@ -1,14 +1,17 @@
 """Rows of the flight itself, one for each 10 s: where, how fast, how inclined, aimed at what."""
 
 import bisect
+import cmath
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
+from operator import attrgetter
 from typing import Any, NamedTuple
 
+import numpy as np
 from harness import Heard
 
-from conformance.rows import NOTHING, Comparison, Row, changes, message_name
+from conformance.rows import NOTHING, Comparison, Row, apart, changes, message_name
 from vehicle_sim.geodesy import metres_per_degree
 
 BIN_S = 10
@@ -71,33 +74,30 @@ def phases_of(comparison: Comparison) -> Callable[[float], str]:
     airborne_s = next((t for t, state in landed if state in (2, 3)), math.inf)
 
     def at(time_s: float) -> str:
-        state = _value_at(landed, time_s)
-        if _is_within(blind, time_s):
+        def is_within(spans: Sequence[Span]) -> bool:
+            return any(begin_s <= time_s < end_s for begin_s, end_s in spans)
+
+        state, mode = (
+            next((value for at_s, value in reversed(events) if at_s <= time_s), None)
+            for events in (landed, modes)
+        )
+        if is_within(blind):
             return "blind"
         if state in (None, 0, 1):
             return "ground"
-        if _value_at(modes, time_s) in landing_modes:
+        if mode in landing_modes:
             return "landing"
         if state == 3 or time_s < airborne_s + _TAKEOFF_S:
             return "take-off"
-        return "chase" if _is_within(chases, time_s) else "flight"
+        return "chase" if is_within(chases) else "flight"
 
     return at
-
-
-def _is_within(spans: Sequence[Span], time_s: float) -> bool:
-    return any(begin_s <= time_s < end_s for begin_s, end_s in spans)
-
-
-def _value_at(events: Sequence[tuple[float, Any]], time_s: float) -> Any:
-    return next((value for at_s, value in reversed(events) if at_s <= time_s), None)
 
 
 def _blind_times(comparison: Comparison) -> Iterator[Span]:
     """While there was no fix after there had been one, or the estimator called it wrong."""
     fixes = changes(comparison.real.of(24), lambda m: m.fix_type <= _FIX_2D)
-    while fixes and fixes[0][1]:
-        del fixes[0]
+    fixes = [*itertools.dropwhile(lambda each: each[1], fixes)]
     glitches = changes(comparison.real.of(193), lambda m: bool(m.flags & _GLITCH))
     for events in (fixes, glitches):
         till = [*events, (comparison.recording.end_s, False)]
@@ -115,145 +115,126 @@ def _chase_times(comparison: Comparison) -> Iterator[Span]:
         if target.type_mask & _NO_POSITION or place >= len(times):
             continue
         here = positions[place][1]
-        if math.hypot(target.x - here.x, target.y - here.y) > FAR_M:
+        if math.dist((target.x, target.y), (here.x, here.y)) > FAR_M:
             yield time_s, time_s + _SETTLING_S
 
 
-# --- measures: how far apart in tolerances, and how to show it ------------------------------------
+# --- measures: what is compared of a message ------------------------------------------------------
 
-Apart = tuple[float, str]
-Measure = Callable[[Any, Any, Tolerances], Apart]
 _DATUM_M = 1.5
 """How far apart home and the sea may be believed to be: the height of PX4's home follows each GPS
 solution for two minutes after boot (HOME_POSITION of px4-offboard-8mps.tlog)."""
-_ECHO = {"vx": 1.0, "vy": 1.0, "vz": 1.0, "afx": 1.5, "afy": 1.5, "afz": 1.5}
-_ECHO |= {"yaw": 0.4, "yaw_rate": 0.4}
-"""Tolerance of each field of POSITION_TARGET_LOCAL_NED but the place."""
 
 
-def _apart(difference: float, tolerance: float, unit: str) -> Apart:
-    return abs(difference) / tolerance, f"{abs(difference):.2f} {unit} apart"
+class Measure(NamedTuple):
+    """A number of a message, or north + east j; NaN is like NaN only."""
+
+    of: Callable[[Any], complex]
+    near: str | float
+    """Its tolerance, or the name of one."""
+    unit: str
+    more: float = 0.0
+    """Added to the tolerance."""
+    round: float = math.inf
+    """An angle's full circle."""
+
+    def apart(self, one: Any, other: Any, near: Tolerances) -> tuple[float, str]:
+        """How far in tolerances, and in words."""
+        tolerance = getattr(near, self.near) if isinstance(self.near, str) else self.near
+        a, b = self.of(one), self.of(other)
+        if cmath.isnan(a) or cmath.isnan(b):
+            return 0.0 if a != a and b != b else math.inf, f"{a:.2f} and {b:.2f} {self.unit}"
+        off = a - b
+        off = abs(off if isinstance(off, complex) else math.remainder(off, self.round))
+        return off / (tolerance + self.more), f"{off:.2f} {self.unit} apart"
 
 
-def _global_height(a: Any, b: Any, near: Tolerances) -> Apart:
-    """Above home and above mean sea level: the receiver's error is in both."""
-    home_m, sea_m = (a.relative_alt - b.relative_alt) * 1e-3, (a.alt - b.alt) * 1e-3
-    allowed_m = near.vertical_m + _DATUM_M
-    return max(_apart(home_m, allowed_m, "m above home"), _apart(sea_m, allowed_m, "m AMSL"))
+def _tilt_deg(message: Any) -> float:
+    return math.degrees(math.acos(math.cos(message.roll) * math.cos(message.pitch)))
 
 
-def _speed(a: Any, b: Any, near: Tolerances) -> Apart:
-    return _apart((math.hypot(a.vx, a.vy) - math.hypot(b.vx, b.vy)) / 100.0, near.speed_m_s, "m/s")
+def _heading_deg(message: Any) -> float:
+    return math.nan if message.hdg == _UNKNOWN_HEADING else message.hdg / 100.0
 
 
-def _heading(a: Any, b: Any, near: Tolerances) -> Apart:
-    if _UNKNOWN_HEADING in (a.hdg, b.hdg):
-        return 0.0 if a.hdg == b.hdg else math.inf, "no heading"
-    off_deg = math.remainder((a.hdg - b.hdg) / 100.0, 360.0)
-    return _apart(off_deg, near.heading_deg, "deg of heading")
+def _measures(comparison: Comparison) -> dict[str, list[tuple[int, list[Measure]]]]:
+    """By kind of row the messages that are looked at, and of these the worst measure each."""
+    north_m, east_m = metres_per_degree(comparison.flight.home.latitude_deg)
 
+    def level(latitude: str, longitude: str) -> Measure:
+        """In metres: the angles are told in 1e-7 degrees."""
+        place = attrgetter(latitude, longitude)
+        scale = np.array((north_m, east_m)) * 1e-7
+        return Measure(lambda m: complex(*place(m) * scale), "horizontal_m", "m")
 
-def _tilt(a: Any, b: Any, near: Tolerances) -> Apart:
-    ours, theirs = (math.degrees(math.acos(math.cos(m.roll) * math.cos(m.pitch))) for m in (a, b))
-    return _apart(ours - theirs, near.tilt_deg, "deg of tilt")
-
-
-def _echo(a: Any, b: Any, near: Tolerances) -> Apart:
-    """NaN is equal to NaN only."""
-    tolerances = {"x": near.horizontal_m, "y": near.horizontal_m, "z": near.vertical_m, **_ECHO}
-    found = list[Apart]()
-    for name, tolerance in tolerances.items():
-        one, other = getattr(a, name), getattr(b, name)
-        if math.isnan(one) or math.isnan(other):
-            same = math.isnan(one) and math.isnan(other)
-            found.append((0.0 if same else math.inf, f"{name}: {one:.2f} and {other:.2f}"))
-        else:
-            off = math.remainder(one - other, math.tau) if name == "yaw" else one - other
-            found.append(_apart(off, tolerance, f"of {name}"))
-    return max(found)
+    height = Measure(attrgetter("z"), "vertical_m", "m of height")
+    echoed = {"vx": 1.0, "vy": 1.0, "vz": 1.0, "afx": 1.5, "afy": 1.5, "afz": 1.5, "yaw_rate": 0.4}
+    echo = [Measure(attrgetter(name), near, f"of {name}") for name, near in echoed.items()]
+    echo += [Measure(attrgetter(name), "horizontal_m", f"of {name}") for name in "xy"]
+    echo += [height, Measure(attrgetter("yaw"), 0.4, "of yaw", round=math.tau)]
+    above = [  # the receiver's error is in both
+        Measure(lambda m: m.relative_alt * 1e-3, "vertical_m", "m above home", _DATUM_M),
+        Measure(lambda m: m.alt * 1e-3, "vertical_m", "m AMSL", _DATUM_M),
+    ]
+    target = [level("lat_int", "lon_int"), Measure(attrgetter("alt"), "vertical_m", "m of height")]
+    return {
+        "track": [
+            (_GLOBAL, [level("lat", "lon")]),
+            (_LOCAL, [Measure(lambda m: complex(m.x, m.y), "horizontal_m", "m")]),
+            *((_GLOBAL, above), (_LOCAL, [height])),
+        ],
+        "motion": [
+            (_GLOBAL, [Measure(lambda m: math.hypot(m.vx, m.vy) / 100.0, "speed_m_s", "m/s")]),
+            (_GLOBAL, [Measure(lambda m: m.vz / 100.0, "climb_m_s", "m/s of climb")]),
+            (_GLOBAL, [Measure(_heading_deg, "heading_deg", "deg of heading", round=360.0)]),
+            (_ATTITUDE, [Measure(_tilt_deg, "tilt_deg", "deg of tilt")]),
+        ],
+        "target": [(_LOCAL_TARGET, echo), (_GLOBAL_TARGET, target)],
+    }
 
 
 # --- rows -----------------------------------------------------------------------------------------
 
 
 def track_rows(comparison: Comparison) -> Iterator[Row]:
-    north_m, east_m = metres_per_degree(comparison.flight.home.latitude_deg)
-
-    def level(latitude_e7: int, longitude_e7: int, near: Tolerances) -> Apart:
-        away_m = math.hypot(latitude_e7 * 1e-7 * north_m, longitude_e7 * 1e-7 * east_m)
-        return _apart(away_m, near.horizontal_m, "m")
-
-    looks: dict[str, list[tuple[int, Measure]]] = {
-        # of these the worst second but one of each bin counts: a step of one side may come a
-        # moment later on the other, which is a matter of times; of the others the middle one
-        "track": [
-            (_GLOBAL, lambda a, b, near: level(a.lat - b.lat, a.lon - b.lon, near)),
-            (
-                _LOCAL,
-                lambda a, b, near: _apart(math.hypot(a.x - b.x, a.y - b.y), near.horizontal_m, "m"),
-            ),
-            (_GLOBAL, _global_height),
-            (_LOCAL, lambda a, b, near: _apart(a.z - b.z, near.vertical_m, "m of height")),
-        ],
-        "motion": [
-            (_GLOBAL, _speed),
-            (
-                _GLOBAL,
-                lambda a, b, near: _apart((a.vz - b.vz) / 100.0, near.climb_m_s, "m/s of climb"),
-            ),
-            (_GLOBAL, _heading),
-            (_ATTITUDE, _tilt),
-        ],
-        "target": [
-            (_LOCAL_TARGET, _echo),
-            (
-                _GLOBAL_TARGET,
-                lambda a, b, near: max(
-                    level(a.lat_int - b.lat_int, a.lon_int - b.lon_int, near),
-                    _apart(a.alt - b.alt, near.vertical_m, "m of height"),
-                ),
-            ),
-        ],
-    }
-    phase_at = phases_of(comparison)
-    for kind, measures in looks.items():
-        yield from _binned(comparison, phase_at, kind, measures)
-
-
-def _binned(
-    comparison: Comparison,
-    phase_at: Callable[[float], str],
-    kind: str,
-    looks: Sequence[tuple[int, Measure]],
-) -> Iterator[Row]:
-    recording = comparison.recording
-    said = {n: [_beside(side.heard(n)) for side in comparison.sides] for n, _ in looks}
+    """A row for each kind and 10 s: of what is looked at what is farthest apart."""
+    recording, phase_at = comparison.recording, phases_of(comparison)
     first, last = (math.floor(recording.begin_s / BIN_S), math.ceil(recording.end_s / BIN_S))
-    for begin_s in range(first * BIN_S, last * BIN_S, BIN_S):
-        if comparison.is_left_out(begin_s) or comparison.is_left_out(begin_s + BIN_S):
-            continue
-        seconds = range(begin_s, begin_s + BIN_S)
-        nearness = [_NEARNESS[recording.kind, phase_at(second)] for second in seconds]
-        found = list[tuple[Apart, str]]()
-        for number, measure in looks:
-            real, simulated = ([at(second) for second in seconds] for at in said[number])
-            pairs = [
-                (a, b, near)
-                for a, b, near in zip(real, simulated, nearness, strict=True)
-                if a is not None and b is not None
-            ]
-            apart = sorted(measure(*pair) for pair in pairs)
-            alone, without = (BIN_S - side.count(None) - len(apart) for side in (real, simulated))
-            if max(alone, without) > _SILENT_S:
-                silent = f"silent for {alone} s" if alone > without else "the real one is silent"
-                found.append(((math.inf, silent), message_name(number)))
-            elif apart:
-                worst = apart[-2:][0] if kind == "track" else apart[len(apart) // 2]
-                found.append((worst, message_name(number)))
-        if found:
-            (difference, shown), message = max(found, key=lambda each: each[0])
-            name = f"{begin_s} s to {begin_s + BIN_S} s"
-            yield Row(kind, name, (message, shown), difference, begin_s)
+    for kind, looks in _measures(comparison).items():
+        said = {n: [_beside(side.heard(n)) for side in comparison.sides] for n, _ in looks}
+        for begin_s in range(first * BIN_S, last * BIN_S, BIN_S):
+            if comparison.is_left_out(begin_s) or comparison.is_left_out(begin_s + BIN_S):
+                continue
+            seconds = range(begin_s, begin_s + BIN_S)
+            nearness = [_NEARNESS[recording.kind, phase_at(second)] for second in seconds]
+            found = list[tuple[float, str, str]]()
+            for number, measures in looks:
+                sides = ([at(second) for second in seconds] for at in said[number])
+                apart = _apart(kind, measures, nearness, *sides)
+                found += [(*each, message_name(number)) for each in apart]
+            if found:
+                difference, shown, message = max(found, key=lambda each: each[0])
+                name = f"{begin_s} s to {begin_s + BIN_S} s"
+                yield Row(kind, name, (message, shown), difference, begin_s)
+
+
+def _apart(
+    kind: str,
+    measures: Sequence[Measure],
+    nearness: Sequence[Tolerances],
+    real: Sequence[Any],
+    simulated: Sequence[Any],
+) -> Iterator[tuple[float, str]]:
+    """Of these seconds the middle one; of the track the worst but one: a step of one side may come
+    a moment later on the other, which is a matter of times.
+    """
+    pairs = [pair for pair in zip(real, simulated, nearness, strict=True) if None not in pair]
+    alone, without = (len(side) - side.count(None) - len(pairs) for side in (real, simulated))
+    apart = sorted(max(measure.apart(*pair) for measure in measures) for pair in pairs)
+    if max(alone, without) > _SILENT_S:
+        yield math.inf, f"silent for {alone} s" if alone > without else "the real one is silent"
+    elif apart:
+        yield apart[-2:][0] if kind == "track" else apart[len(apart) // 2]
 
 
 def _beside(said: Sequence[Heard]) -> Callable[[float], Any]:
@@ -280,20 +261,16 @@ def battery_rows(comparison: Comparison) -> Iterator[Row]:
     begin_s, end_s = comparison.recording.begin_s, comparison.recording.end_s
     for name, part in (("begin", 0.1), ("middle", 0.5), ("end", 0.9)):
         at_s = begin_s + part * (end_s - begin_s)
-        real, simulated = (
-            min(side.of(_BATTERY), key=lambda each: abs(each[0] - at_s), default=None)
-            for side in comparison.sides
-        )
-        if real:
-            told = [each and _charge(each[1]) for each in (real, simulated)]
-            apart = math.inf
-            if simulated:
-                pairs = zip(_charge(real[1]), _charge(simulated[1]), _CHARGE, strict=True)
-                apart = max(abs(a - b) / allowed for a, b, allowed in pairs)
+        told = [_charge(side.of(_BATTERY), at_s) for side in comparison.sides]
+        if told[0] is not None:
             shown = [f"{e[0]:.2f} V, {e[1]} %, {e[2]:.1f} A" if e else NOTHING for e in told]
-            yield Row("battery", name, shown, apart, at_s)
+            yield Row("battery", name, shown, apart(told[0], told[1], _CHARGE), at_s)
 
 
-def _charge(message: Any) -> tuple[float, float, float]:
+def _charge(said: Sequence[tuple[float, Any]], at_s: float) -> tuple[float, float, float] | None:
+    """What is told nearest to this time."""
+    if not said:
+        return None
+    _, message = min(said, key=lambda each: abs(each[0] - at_s))
     volts, amperes = message.voltages[0] / 1e3, message.current_battery / 1e2
     return volts, message.battery_remaining, amperes

@@ -1,7 +1,8 @@
-"""The terrain radar against brute force, and its component: who gets what when, spoilt by what.
+"""The terrain radar against brute force, its component, the lidar, and ArduPilot's rangefinder.
 
 A cell may be called hidden only if it is (nothing is ever hidden that is in sight), and what is
 called seen although it is hidden lies so little behind a ridge that the ridge hardly hides it.
+ArduPilot's eight sectors are seen by the rows of arducopter-lidar.tlog (conformance/lidar.py).
 """
 
 import math
@@ -10,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from harness import Heard, Rig, placed
+from harness import Rig, placed
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as mavlink
 from pyproj import Geod
@@ -21,6 +22,7 @@ from vehicle_sim.sensors.terrain_radar import UNSEEN_M, TerrainRadar
 from vehicle_sim.terrain import PeakRow, PeakTerrain
 from vehicle_sim.world import Peak
 
+approx = pytest.approx
 Height = Callable[[FloatArray, FloatArray], FloatArray]
 NE = tuple[float, float]
 Request = tuple[LocalFrame, int, int]
@@ -173,7 +175,7 @@ def test_nothing_is_called_hidden_that_a_ray_reaches_and_little_is_seen_through_
 
 # --- its component --------------------------------------------------------------------------------
 
-TOP_M, TICK_S = 500.0, 0.1
+TOP_M, TICK_S, RADAR = 500.0, 0.1, (1, 100)
 RIDGE = [(2000.0, float(e), 1000.0, 200.0, 400.0) for e in range(-6000, 6001, 250)]
 ROWS: list[PeakRow] = [*RIDGE, (0.0, 0.0, TOP_M, 30.0, 30.0)]
 """A ridge, and a hill on which the vehicle stands."""
@@ -196,34 +198,34 @@ def standing(fault: str = "turbulence 0 m/s") -> Rig:
     return it
 
 
-def answered(*fault: str) -> list[Heard]:
-    """What it says to a request within 0.9 s, of a vehicle that is elsewhere in the next tick."""
+def answered(*fault: str) -> Rig:
+    """0.9 s after a request, of a vehicle that is elsewhere in the next tick."""
     it = standing(*fault)
-    it.send(request(), link=3)
+    it.send(request())
     it.run(TICK_S).vehicle.latitude_deg += 0.03
-    return [each for each in it.run(0.8).heard if each.source == (1, 100)]
+    return it.run(0.8)
 
 
-def of(said: list[Heard], kind: str) -> list[Any]:
-    return [each.message for each in said if each.kind == kind]
+def blocks_of(it: Rig) -> list[Any]:
+    return it.said("TERRAIN_DATA", RADAR)
 
 
-def heights(said: list[Heard]) -> Any:
-    return np.array([block.data for block in of(said, "TERRAIN_DATA")], dtype=np.int64).ravel()
+def heights(it: Rig) -> Any:
+    return np.array([block.data for block in blocks_of(it)], dtype=np.int64).ravel()
 
 
 def test_a_request_is_answered_once_at_the_end_of_its_tick_with_what_the_radar_sees() -> None:
     it, asked = standing(), request()
     it.run(0.05).send(request(mask=1), asked, link=3)  # the newest counts
-    said = [each for each in it.run(0.4).heard if each.source == (1, 100)]
+    said = [each for each in it.run(0.4).heard if each.source == RADAR]
     assert {(round(each.at_s, 3), each.link) for each in said} == {(1.0 + TICK_S, 3)}
-    blocks, (report,) = of(said, "TERRAIN_DATA"), of(said, "TERRAIN_REPORT")
+    *blocks, report = (each.message for each in said)
     for each in (*blocks, report):
         spacing_m = each.spacing if each is report else each.grid_spacing
         assert (each.lat, each.lon, spacing_m) == (asked.lat, asked.lon, 200)
     assert (report.loaded, report.pending) == (56, 0)
-    assert report.terrain_height == pytest.approx(TERRAIN.height_at_amsl_m(-2800.0, -3200.0))
-    assert report.current_height == pytest.approx(TOP_M - report.terrain_height)
+    assert report.terrain_height == approx(TERRAIN.height_at_amsl_m(-2800.0, -3200.0))
+    assert report.current_height == approx(TOP_M - report.terrain_height)
     radar, view = TerrainRadar(TERRAIN, FRAME, range_m=RANGE_M), viewpoint(HERE, TOP_M)
     truth = radar.answer(*request_about(HERE, 200), view)
     assert {block.gridbit: list(block.data) for block in blocks} == truth
@@ -236,8 +238,8 @@ def test_a_request_is_answered_once_at_the_end_of_its_tick_with_what_the_radar_s
 def test_its_heart_beats_once_a_second_and_it_obeys_nobody(fault: str, beats: int) -> None:
     it, order = standing(fault), mavlink.MAVLink_command_long_message
     it.send(*(order(1, target, 400, 0, *[0.0] * 7) for target in (0, 100)), request())
-    heard = [each for each in it.run(3.0).heard if each.source == (1, 100)]
-    said = [each.kind for each in heard if each.link == 0]
+    heard = it.run(3.0).heard
+    said = [each.kind for each in heard if (each.source, each.link) == (RADAR, 0)]
     assert (said.count("HEARTBEAT"), "COMMAND_ACK" in said) == (beats, False)
     assert ("TERRAIN_REPORT" in said) is bool(beats)
 
@@ -254,7 +256,7 @@ def test_it_holds_one_answer_at_a_time_and_keeps_its_rate(
     times = [each.at_s for each in it.run(10.0).all("TERRAIN_REPORT")]
     blocks = [each.message for each in it.all("TERRAIN_DATA")]
     assert [block.gridbit for block in blocks] == [0, 3] * reports
-    every = {block.gridbit: block.data for block in of(answered(), "TERRAIN_DATA")}
+    every = {block.gridbit: block.data for block in blocks_of(answered())}
     assert all(block.data == every[block.gridbit] for block in blocks)
     assert len(times) == reports
     assert min(np.diff(times[1:])) >= apart_s - 1e-6
@@ -262,21 +264,21 @@ def test_it_holds_one_answer_at_a_time_and_keeps_its_rate(
 
 def test_a_fault_spoils_what_it_says_in_its_share_and_nothing_else() -> None:
     said = answered()
-    truth, by_bit = heights(said), of(said, "TERRAIN_DATA")
+    truth, by_bit = heights(said), blocks_of(said)
     seen = truth != UNSEEN_M
     late = answered("radar_delay 770 ms")  # of the answer, and not of the look
-    assert {round(each.at_s, 3) for each in late} == {round(1.0 + TICK_S + 0.77, 3)}
+    assert {round(each.at_s - 1.0 - TICK_S, 3) for each in late.all("TERRAIN_DATA")} == {0.77}
     assert np.array_equal(heights(late), truth)
     blind = answered("radar_blind")
-    assert (len(blind), set(heights(blind))) == (57, {UNSEEN_M})
+    assert (len(blocks_of(blind)), set(heights(blind))) == (56, {UNSEEN_M})
     lossy = answered("radar_loss 30 %")
-    blocks = of(lossy, "TERRAIN_DATA")
+    blocks = blocks_of(lossy)
     assert 56 * 0.5 < len(blocks) < 56 * 0.9
-    assert of(lossy, "TERRAIN_REPORT")[0].loaded == 56  # the report counts them
+    assert lossy.said("TERRAIN_REPORT", RADAR)[0].loaded == 56  # the report counts them
     assert all(by_bit[block.gridbit].data == block.data for block in blocks)
     got = heights(answered("radar_drop 25 %"))
     missed = seen & (got == UNSEEN_M)
-    assert missed.sum() / seen.sum() == pytest.approx(0.25, abs=0.05)
+    assert missed.sum() / seen.sum() == approx(0.25, abs=0.05)
     assert np.array_equal(got[~missed], truth[~missed])
 
 
@@ -291,6 +293,154 @@ def test_noise_never_lowers_a_cell_unless_it_says_so(noise_m: float) -> None:
         assert np.all((got >= -32768) & (got <= 32767))
     assert (above - truth)[seen].min() >= 0
     if noise_m == 5.0:
-        assert (above - truth)[seen].mean() == pytest.approx(5 * np.sqrt(2 / np.pi) + 0.5, abs=0.5)
-        assert (either - truth)[seen].std() == pytest.approx(5.0, rel=0.1)
-        assert (either - truth)[seen].mean() == pytest.approx(0.0, abs=0.6)
+        assert (above - truth)[seen].mean() == approx(5 * np.sqrt(2 / np.pi) + 0.5, abs=0.5)
+        assert (either - truth)[seen].std() == approx(5.0, rel=0.1)
+        assert (either - truth)[seen].mean() == approx(0.0, abs=0.6)
+
+
+# --- the lidar ------------------------------------------------------------------------------------
+
+NOT_THERE, NOT_KNOWN, PROXIMITY = 1601, 65535, 0x4000000
+DRIVER = (1, 196)
+POST = {"north_m": 10.0, "east_m": 0.0, "radius_m": 1.0, "height_m": 50.0}
+AT_ONCE = {"kind": "sectors"}
+"""Takes a tenth of the time of beam after beam."""
+
+
+class Bench(Rig):
+    """A vehicle that is held where the test wants it, and what it says."""
+
+    def __init__(
+        self,
+        seconds: float,
+        *,
+        lidar: Any = (),
+        asks: Any = (),
+        hold_m: float = 5.0,
+        turn_rad: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        **fields: Any,
+    ) -> None:
+        super().__init__(lidar={"range_m": 16.0} | dict(lidar), **fields)
+        self.turn_rad, flies = turn_rad, self.autopilot.step
+
+        def held(*arguments: Any) -> Any:
+            replies, vehicle = flies(*arguments), self.vehicle
+            vehicle.altitude_amsl_m = self.home[2] + hold_m
+            vehicle.roll_rad, vehicle.pitch_rad, vehicle.heading_rad = self.turn_rad
+            return replies
+
+        self.autopilot.step = held
+        self.run(0.1 if asks else 0.0)
+        for number in asks:
+            self.command(511, number, 100_000)
+        self.run(seconds)
+
+    def maps(self, since_s: float = 0.0) -> list[Any]:
+        return self.said("OBSTACLE_DISTANCE", DRIVER, since_s)
+
+
+@pytest.mark.parametrize("bearing_deg", [0.0, 200.0, 357.0])
+def test_a_post_is_in_the_sector_where_mavlink_puts_it_and_is_told_on_every_link(
+    bearing_deg: float,
+) -> None:
+    bearing = math.radians(bearing_deg)
+    place = {"north_m": 10 * math.cos(bearing), "east_m": 10 * math.sin(bearing), "radius_m": 0.2}
+    lidar = {"step_deg": 0.5, "latency_s": 0.06}
+    bench = Bench(2.0, lidar=lidar, trees=[POST | place], links=2)
+    maps = bench.all("OBSTACLE_DISTANCE")
+    assert len(bench.all("OBSTACLE_DISTANCE", link=1)) == len(maps) == approx(20, abs=2)
+    told = maps[-1].message
+    assert 0.059 <= maps[-1].at_s - told.time_usec * 1e-6 <= 0.08
+    assert (told.frame, told.increment, told.min_distance, told.max_distance) == (12, 5, 20, 1600)
+    met = [k for k, cm in enumerate(told.distances) if cm < NOT_THERE]
+    off_deg = [abs(math.remainder(told.angle_offset + 5.0 * k - bearing_deg, 360.0)) for k in met]
+    assert min(off_deg) <= 2.5
+    assert max(off_deg) <= 5.0
+    assert min(told.distances) == approx(980, abs=1)
+    assert {(m.type, m.autopilot) for m in bench.said("HEARTBEAT", DRIVER)} == {(18, 8)}
+
+
+def test_nearer_than_the_least_distance_nothing_is_known() -> None:
+    near = POST | {"north_m": 1.3}
+    told, known = (
+        Bench(1.0, trees=[near], lidar={"min_m": least_m}).maps()[-1].distances
+        for least_m in (0.5, 0.1)
+    )
+    unknown = {k for k, cm in enumerate(told) if cm == NOT_KNOWN}
+    assert set() < unknown <= {*range(14), *range(58, 72)}  # the post's sectors
+    assert min(known) == 30
+
+
+def test_noise_and_lost_echoes_have_the_size_that_the_world_says_and_are_the_seeds() -> None:
+    lidar = AT_ONCE | {"noise_m": 0.1, "lost_share": 0.2, "step_deg": 5.0}
+
+    def ahead(seed: int, seconds: float) -> Any:
+        bench = Bench(seconds, trees=[POST | {"radius_m": 3.0}], lidar=lidar, seed=seed)
+        return np.array([m.distances[0] for m in bench.maps()])
+
+    told = ahead(3, 60.0)[5:]
+    assert np.mean(told == NOT_THERE) == approx(0.2, abs=0.06)
+    met = told[told != NOT_THERE] * 0.01
+    assert met.mean() == approx(7.0, abs=0.02)
+    assert met.std() == approx(0.1, abs=0.02)
+    assert not np.array_equal(ahead(4, 4.0), ahead(3, 4.0))
+
+
+SEES: dict[str, Callable[[Any, Any, int], Any]] = {  # maps, their distances, beats
+    "lidar_dead": lambda maps, _, beats: not maps and beats == 3,
+    "lidar_off": lambda maps, _, beats: not maps and beats == 0,
+    "lidar_loss 100 %": lambda maps, _, beats: not maps and beats == 3,
+    "lidar_blind": lambda _, cm, __: set(cm.flat) == {NOT_THERE},
+    "lidar_turned 180 deg": lambda _, cm, __: set(cm.argmin(axis=1)) <= {35, 36, 37},
+    "lidar_dust 10 %": lambda _, cm, __: 0.05 < np.mean(cm < 320) < 0.25 and cm[:, 36].min() < 320,
+    "lidar_clock 5000 ms": lambda maps, _, __: abs(maps[0].time_usec - 6_200_000) < 100_000,
+    "lidar_rate 100 Hz": lambda maps, _, __: abs(len(maps) - 285) <= 4,
+}
+
+
+@pytest.mark.parametrize("line", SEES)
+def test_a_client_sees_the_fault(line: str) -> None:
+    bench = Bench(4.0, trees=[POST], lidar=AT_ONCE, faults=f"at 1 s: {line}")
+    maps, beats = bench.maps(1.15), bench.said("HEARTBEAT", DRIVER, 1.15)
+    assert SEES[line](maps, np.array([m.distances for m in maps]), len(beats))
+
+
+def test_a_stuck_lidar_repeats_itself_with_new_stamps() -> None:
+    bench = Bench(1.2, trees=[POST], lidar=AT_ONCE, faults="at 1 s: lidar_stuck")
+    bench.turn_rad = (0.0, 0.0, 2.0)
+    maps = bench.run(2.0).maps(1.15)
+    assert len({tuple(m.distances) for m in maps}) == 1
+    assert len({m.time_usec for m in maps}) == len(maps)
+
+
+def test_a_leaning_vehicles_lidar_and_rangefinder_measure_slant_ranges_to_the_ground() -> None:
+    told = Bench(1.0, turn_rad=(0.0, math.radians(-30.0), 1.0)).maps()[-1].distances
+    assert (told[0], told[36]) == (approx(1030, abs=3), NOT_THERE)  # 5.15 m / sin 30 deg
+    how: dict[str, Any] = {"turn_rad": (math.radians(20.0), math.radians(-10.0), 1.0)}
+    how |= {"asks": (132, 173), "hold_m": 16.0, "RNGFND1_TYPE": 100.0, "RNGFND1_MAX": 12.0}
+    bench = Bench(2.0, faults="at 3 s: rangefinder_off", **how)
+    slant_m = 16.0 / (math.cos(math.radians(20.0)) * math.cos(math.radians(10.0)))
+    m = bench.last("DISTANCE_SENSOR")
+    assert m.current_distance == approx(slant_m * 100, abs=1)  # also beyond its maximum
+    assert (m.id, m.orientation, m.type, m.min_distance, m.max_distance) == (0, 25, 4, 20, 1200)
+    assert bench.last("RANGEFINDER").distance == approx(slant_m, abs=0.01)
+    bench.run(2.0)
+    assert bench.said("DISTANCE_SENSOR", since_s=3.05) == []
+    assert {m.distance for m in bench.said("RANGEFINDER", since_s=3.05)} == {0.0}
+
+
+@pytest.mark.parametrize("dead", [False, True])
+def test_a_second_lidar_is_told_as_sectors_beside_the_drivers_own_and_its_death_by_a_bit(
+    *, dead: bool
+) -> None:
+    second = {"second_lidar": {"range_m": 12.0, "output": "autopilot"}}
+    fault = "at 1 s: lidar_dead" if dead else ""
+    bench = Bench(3.0, trees=[POST], lidar={"range_m": 40.0}, asks=(132, 1), faults=fault, **second)
+    sectors = bench.said("DISTANCE_SENSOR", since_s=1.5)
+    assert dead or min(bench.maps()[-1].distances) == approx(900, abs=1)
+    assert bool(sectors) is not dead
+    assert dead or min(m.current_distance for m in sectors) == approx(900, abs=5)
+    assert {(m.type, m.max_distance, m.id - m.orientation) for m in sectors} <= {(0, 1200, 10)}
+    status = bench.last("SYS_STATUS")
+    assert status.onboard_control_sensors_present & PROXIMITY
+    assert bool(status.onboard_control_sensors_health & PROXIMITY) is not dead

@@ -1,0 +1,82 @@
+"""Each recorded flight, flown by the simulator: no fewer rows agree than did, each other is known.
+
+And the comparison itself: a flight agrees with itself, not with another one, and each kind of row
+can fail.
+"""
+
+import functools
+import struct
+
+import pytest
+from harness import Heard
+from pymavlink.dialects.v20 import all as mavlink
+from recordings import recording
+
+from conformance import AGREED, compare
+from conformance.flights import Recording, Side, flight_of, play, read_recording
+from conformance.rows import Row
+
+COPTER, PX4 = "arducopter-gps-loss.tlog", "px4-gps-loss.tlog"
+EACH = pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.xdist_group(name)) for name in AGREED]
+)
+
+
+@functools.cache
+def recorded(name: str) -> Recording:
+    return read_recording(recording(name))
+
+
+def rows_of(flight: Recording, said: Side) -> list[Row]:
+    return compare(flight, flight_of(flight.name), said)
+
+
+@pytest.mark.sample(3)
+@EACH
+def test_the_simulated_autopilot_is_like_the_recorded_one(name: str) -> None:
+    """A reason that no row needs fails too, and one that says nothing."""
+    reasons = flight_of(name).reasons
+    rows = rows_of(recorded(name), Side(play(recorded(name), flight_of(name))))
+    disagreeing = [row for row in rows if not row.agrees]
+    assert [row for row in disagreeing if row.reason is None] == []
+    agreed, before = AGREED[name]
+    assert len(rows) - len(disagreeing) >= agreed
+    assert len(disagreeing) <= before - agreed
+    assert [r for r in reasons if not any(r.explains(row) for row in disagreeing)] == []
+    assert not any(len(r.why) <= 20 or r.names == r.shown == ".*" for r in reasons)
+
+
+@pytest.mark.sample(9)
+@EACH
+def test_a_flight_agrees_with_itself_not_with_another_one_and_silence_with_nothing(
+    name: str,
+) -> None:
+    flight, other = (
+        recorded(name),
+        recorded("arducopter-guided-10mps.tlog" if name == COPTER else COPTER),
+    )
+    rows = rows_of(flight, flight.side)
+    assert len(rows) > 150
+    assert {row.difference for row in rows} == {0.0}
+    rows = rows_of(flight, other.side)
+    assert sum(row.agrees for row in rows) < 0.75 * len(rows)
+    assert not any(row.agrees for row in rows_of(flight, Side(())))
+
+
+def spoilt(heard: Heard) -> Heard:
+    """The same message with other values in all of its fields."""
+    kind = mavlink.mavlink_map[heard.number]
+    payload = b"\x55" * kind.unpacker.size
+    body = bytes([253, len(payload)]) + heard.frame[2:10] + payload
+    crc = mavlink.x25crc(body[1:] + bytes([kind.crc_extra])).crc
+    return Heard(heard.at_s, body + struct.pack("<H", crc))
+
+
+def test_each_kind_of_row_fails_of_a_side_that_says_something_else_half_as_often() -> None:
+    kinds, fail = set[str](), set[str]()
+    for flight in map(recorded, (COPTER, PX4)):
+        late = (heard for heard in flight.said[::2] if heard.at_s > 60.0)
+        said = [spoilt(heard) for heard in late if heard.number in mavlink.mavlink_map]
+        kinds |= {row.kind for row in rows_of(flight, flight.side)}
+        fail |= {row.kind for row in rows_of(flight, Side(said)) if not row.agrees}
+    assert kinds == fail
