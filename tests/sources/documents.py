@@ -10,20 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 from geotiff import write_elevation
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rasterio.transform import Affine
 
 import companion
-from companion.config import load_mission, load_world, mission_text
+from companion.config import load_mission, load_world, mission_text, world_table
 from companion.errors import InputError
 from companion.mission.mission import Mission
 from companion.sources.files import toml_text
 
 ENVIRONMENTS = Path(companion.__file__).parent / "environments"
-NUMBERS = [True, 0, -1, 1e308, 1e-300, 2**62, 10**400, 91.0, 16, 20, 177]
-OTHERS = [None, "", "x\ny", "radar", "x.plan", [], {}, [[]], [{}], [8.0, 47.0], {"type": 1}]
-JUNK = st.sampled_from([*NUMBERS, *OTHERS])
 
 RING = [[8.0, 47.0], [8.1, 47.0], [8.1, 47.2], [8.0, 47.0]]
 HOLE = [[8.04, 47.02], [8.08, 47.02], [8.08, 47.1], [8.04, 47.02]]
@@ -49,10 +45,6 @@ def edited(document: Any, *edits: str) -> Any:
         else:
             here[last] = json.loads(value)
     return document
-
-
-def of_toml(path: Path) -> dict[str, Any]:
-    return tomllib.loads(path.read_text(encoding="utf-8"))
 
 
 def feature(shape: str, coordinates: Any, **properties: Any) -> dict[str, Any]:
@@ -141,8 +133,8 @@ DOCUMENTS: dict[str, tuple[str, Any]] = {
         collection(feature("Polygon", [RING]), feature("Polygon", [HOLE], name="x")),
     ),
     "elevation file": ("x.tif", {"crs": "EPSG:4326"}),
-    "world": ("world.toml", of_toml(ENVIRONMENTS / "environment-1" / "world.toml")),
-    "world of a file": ("world.toml", of_toml(ENVIRONMENTS / "valley" / "world.toml")),
+    "world": ("world.toml", world_table("environment-1")),
+    "world of a file": ("world.toml", world_table("valley")),
 }
 """By the names that `refusals.txt` has for them: the name of the file, and what is in it."""
 
@@ -171,12 +163,6 @@ def terrain(path: Path, heights_m: NDArray[Any] = HEIGHTS_M, **changes: Any) -> 
     write_elevation(path, heights_m, north_west_deg, STEP_DEG, **changes)
 
 
-def threats() -> dict[str, Any]:
-    """A file of one zone, with a hole."""
-    wood = [[8.01, 47.01], [8.02, 47.01], [8.02, 47.015], [8.01, 47.01]]
-    return collection(feature("Polygon", [wood, wood], name="wood"))
-
-
 def loaded(path: Path) -> object:
     """What a file says, by itself or named by a mission or a world."""
     if path.suffix == ".geojson":
@@ -200,14 +186,3 @@ def refusal(read: Callable[..., object], *arguments: Any) -> str:
     message = str(caught.value)
     assert len(message.splitlines()) == 1
     return message
-
-
-def replace_somewhere(content: Any, data: st.DataObject) -> None:
-    """Put something else into a place of a JSON or TOML value, at any depth."""
-    here = content
-    while keys := list(here) if isinstance(here, dict) else list(range(len(here))):
-        key = data.draw(st.sampled_from(keys))
-        if not isinstance(here[key], dict | list) or data.draw(st.integers(0, 4)) == 0:
-            here[key] = copy.deepcopy(data.draw(JUNK))
-            return
-        here = here[key]

@@ -50,29 +50,30 @@ def test_all_that_can_be_said_is_taken(folder: Path) -> None:
     assert errors == (9.5, 7.5, 2.0)
 
 
+ERRORS = ("latency_error_s", "range_error_m", "position_error_m", "drift_m_s")
+MOUNTING = ("forward_m", "right_m", "blind_m", "latency_s")
+
+
 @pytest.mark.parametrize(
     ("kind", "said", "component", "message", "of_autopilot"),
     [
-        ("obstacle_distance", None, 196, 330, False),
-        ("obstacle_distance", 50, 50, 330, False),
-        ("distance_sensor", None, 1, 132, True),
-        ("distance_sensor", 158, 158, 132, False),
+        ("obstacle_distance", {}, 196, 330, False),
+        ("obstacle_distance", {"component": 50}, 50, 330, False),
+        ("distance_sensor", {}, 1, 132, True),
+        ("distance_sensor", {"component": 158}, 158, 132, False),
     ],
 )
 def test_a_sensor_of_near_things_is_what_its_table_says(
-    folder: Path, kind: str, said: int | None, component: int, message: int, of_autopilot: bool
+    folder: Path, kind: str, said: Any, component: int, message: int, of_autopilot: bool
 ) -> None:
-    errors = {"forward_m": 0.1, "right_m": -0.2, "blind_m": 0.4, "latency_s": 0.01}
-    errors |= {"latency_error_s": 0.02, "range_error_m": 0.3, "position_error_m": 0.06}
-    errors |= {"drift_m_s": 0.01, "speaks_for_m": 4.0}
-    table = {"kind": kind, "yaw_deg": 90.0, "bearing_error_deg": 2.0, **errors}
-    table |= {} if said is None else {"component": said}
-    found = mission(folder, "mission by a lidar", f"scanner = {json.dumps(table)}")
-    expected = {
-        **errors, "kind": kind, "component_id": component, "yaw_rad": 0.5 * math.pi,
-        "bearing_error_rad": math.radians(2.0), "range_m": found.task.settings.scan_range_m,
-    }  # fmt: skip
-    assert {name: getattr(found.near, name) for name in expected} == expected
+    numbers = {name: 0.01 * number for number, name in enumerate((*MOUNTING, *ERRORS), 1)}
+    table = {"kind": kind, "speaks_for_m": 4.0, **numbers}
+    whole = {**table, "yaw_deg": 90.0, "bearing_error_deg": 2.0, **said}
+    found = mission(folder, "mission by a lidar", f"scanner = {json.dumps(whole)}")
+    near: Any = found.near
+    assert {name: getattr(near, name) for name in table} == table
+    assert (near.yaw_rad, near.bearing_error_rad) == (0.5 * math.pi, math.radians(2.0))
+    assert (near.component_id, near.range_m) == (component, found.task.settings.scan_range_m)
     assert found.scanner_component_id is None
     assert (found.known.guess_m == 400.5).all()  # of the ground; of what stands on it nothing
     assert not found.known.surveyed.any()
