@@ -78,7 +78,8 @@ def test_nothing_is_raised_whatever_the_bytes_and_less_than_a_frame_is_kept(
 
 
 @given(
-    st.lists(st.tuples(NO_MARKER, frames, st.integers(1, 400), st.integers(-3, 1)), max_size=8), cuts
+    st.lists(st.tuples(NO_MARKER, frames, st.integers(1, 400), st.integers(-3, 1)), max_size=8),
+    cuts,
 )
 def test_frames_are_found_in_any_noise_and_a_broken_one_takes_no_other(
     parts: list[tuple[bytes, bytes, int, int]], where: list[int]

@@ -45,7 +45,8 @@ class Rig:
 
     def _fly(self) -> None:
         session: Any = self.session
-        options = {"planner": self.planner, "stop_asked": self._over.is_set, **self.options}
+        options: Any = {"planner": self.planner, "stop_asked": self._over.is_set}
+        options |= self.options
         try:
             self.flight.set_result(loop.fly(session, self.link, self.folder, **options))
         except BaseException as error:  # noqa: BLE001 - looked at by the test
@@ -58,9 +59,9 @@ class Rig:
     def breaks(self, does: Callable[[], object], at: int = BREAKS_AT) -> None:
         """What the session does with that datagram."""
 
-        def breaks() -> None:
+        def breaks() -> object:
             self.broken_s = time.monotonic()
-            does()
+            return does()
 
         self.session.on_datagram = lambda count: count == at and breaks()
 

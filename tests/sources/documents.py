@@ -127,6 +127,7 @@ DOCUMENTS: dict[str, tuple[str, Any]] = {
     "mission by a lidar": ("mission.toml", FOREST),
     "all of a mission": ("mission.toml", edited(COPTER, *EVERYTHING)),
     "plan": ("x.plan", plan(waypoint(), waypoint(0.02))),
+    "mission that names a plan": ("mission.toml", {"plan": "fenced.plan"}),
     "list": ("x.txt", ["QGC WPL 110", "0 1 0 16 0 0 0 0 47 8 9 1", "1 0 3 16 0 0 0 0 47 8.01 9 1"]),
     "GeoJSON": (
         "x.geojson",
@@ -136,7 +137,22 @@ DOCUMENTS: dict[str, tuple[str, Any]] = {
     "world": ("world.toml", world_table("environment-1")),
     "world of a file": ("world.toml", world_table("valley")),
 }
-"""By the names that `refusals.txt` has for them: the name of the file, and what is in it."""
+"""By the names that tables have for them: the name of the file, and what is in it."""
+
+
+def table_of(name: str) -> dict[str, list[tuple[list[str], str]]]:
+    """Edits of each file and what is said of it, by the kind of the file; without edits: as it is.
+
+    A row is "edit ; edit → said", below "# kind".
+    """
+    table: dict[str, list[tuple[list[str], str]]] = {}
+    for row in (Path(__file__).parent / name).read_text("utf-8").splitlines():
+        if row.startswith("# "):
+            of_kind = table.setdefault(row.removeprefix("# "), [])
+        else:
+            edits, said = row.split("→ ")
+            of_kind.append((edits.strip().split(" ; ") if edits else [], said))
+    return table
 
 
 def written(folder: Path, kind: str, *edits: str, content: Any = None) -> Path:

@@ -1,7 +1,6 @@
 """Plans and lists of waypoints: what they say and what is assumed; refused: `test_refusals`."""
 
 import json
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -170,12 +169,10 @@ def test_as_threats_a_list_is_no_mission_and_need_not_be_one_that_can_be_flown(
 
 
 @pytest.mark.parametrize("name", PLANS)
-def test_a_plan_alone_is_a_mission_that_says_what_it_assumed(name: str, tmp_path: Path) -> None:
+def test_a_plan_alone_is_a_mission(name: str, tmp_path: Path) -> None:
     """The run folder gets all of it."""
     mission = load_mission(str(MISSIONS / name))
     assert mission.name == name.removesuffix(".plan")
-    said = " ".join(mission.notes)
-    assert all(words in said for words in ("m/s", "AMSL", "terrain radar", "d_s = ", "map assumed"))
     text, alone = mission_text(str(MISSIONS / name)), tmp_path / "mission.toml"
     alone.write_text(text, encoding="utf-8")
     again, fields = load_mission(str(alone)), {*Mission.__slots__} - {"notes"}
@@ -183,53 +180,11 @@ def test_a_plan_alone_is_a_mission_that_says_what_it_assumed(name: str, tmp_path
     assert mission_text(str(alone)) == text
 
 
-@pytest.mark.parametrize(
-    ("vehicle_type", "turns_m", "angles_deg", "others"),
-    [
-        (2, (20.0, 0.0), (16.6, 16.6), (5.0, 1.5, 5.0, 2000.0, 30.0)),
-        (1, (115.0, 100.0), (7.0, 6.8), (15.0, 2.5, 15.0, 3000.0, 50.0)),
-    ],
-)
-def test_what_a_plan_lacks_is_assumed_as_the_page_of_files_says(
-    folder: Path, vehicle_type: int, turns_m: Any, angles_deg: Any, others: Any
-) -> None:
-    read(folder, plan(waypoint(), vehicleType=vehicle_type))
-    task = load_mission(str(folder / "x.plan")).task
-    limits, settings = task.limits, task.settings
-    assert (limits.turn_radius_m, limits.loiter_radius_m) == turns_m
-    angles = limits.climb_angle_rad, limits.dive_angle_rad
-    assert tuple(map(math.degrees, angles)) == pytest.approx(angles_deg)
-    assert others == (
-        *(limits.speed_m_s, limits.climb_rate_m_s, limits.tracking_error_m),
-        *(settings.scan_range_m, settings.safety_distance_m),
-    )
-
-
-OWN = """
-name = "mine"
-altitude = { floor_amsl_m = 600.0, ceiling_amsl_m = 700.0 }
-vehicle = { speed_m_s = 8.0 }
-planner = { safety_distance_m = 20.0 }
-end = { action = "land" }
-keep_outs = [{ name = "own", north_m = -1000.0, east_m = 0.0, radius_m = 50.0 }]
-"""
-
-
-def test_a_mission_overrides_what_is_assumed_of_its_plan(tmp_path: Path) -> None:
-    mission, alone = naming(tmp_path, FENCED, OWN), load_mission(str(MISSIONS / "fenced.plan"))
-    limits, settings = mission.task.limits, mission.task.settings
-    assert (mission.name, mission.end_action) == ("mine", EndAction.LAND)
-    assert (limits.floor_amsl_m, limits.speed_m_s) == (600.0, 8.0)
-    assert limits.turn_radius_m > alone.task.limits.turn_radius_m
-    assert settings.safety_distance_m == 20.0
-    assert mission.targets_ne_m == alone.targets_ne_m
-    names = {zone.name for zone in mission.task.zones}
-    assert names == {"own", *(zone.name for zone in alone.task.zones)}
-    assert not any("altitude" in note or "speed of the plan" in note for note in mission.notes)
-    fences = FENCED | {"mission": FENCED["mission"] | {"items": []}}
+def test_a_plan_may_be_of_zones_alone_beside_targets_of_the_mission(tmp_path: Path) -> None:
+    """What a mission says beside its plan: `test_mission_file`."""
+    zones = FENCED | {"mission": FENCED["mission"] | {"items": []}}
     own = "[[targets]]\nnorth_m = 1000.0\neast_m = 300.0\n"
-    assert naming(tmp_path, fences, own).targets_ne_m == ((1000.0, 300.0),)
-    assert naming(tmp_path, fences, "from_vehicle.targets = true\n").targets_from_vehicle
+    assert naming(tmp_path, zones, own).targets_ne_m == ((1000.0, 300.0),)
 
 
 # --- without a terrain radar: flown at the plan's altitudes where they are safe, else it is said

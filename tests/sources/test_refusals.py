@@ -13,29 +13,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from documents import COPTER, DOCUMENTS, edited, loaded, mission, refusal, written
+from documents import COPTER, DOCUMENTS, edited, loaded, mission, refusal, table_of, written
 from hypothesis import example, given
 from hypothesis import strategies as st
 
 from companion.config import load_mission, load_world, mission_text
 from companion.errors import InputError
 
-
-def read_table() -> dict[str, list[tuple[list[str], str]]]:
-    """Edits and line of each file, by the kind of the file."""
-    table: dict[str, list[tuple[list[str], str]]] = {}
-    for row in (Path(__file__).parent / "refusals.txt").read_text("utf-8").splitlines():
-        if row.startswith("# "):
-            of_kind = table.setdefault(row.removeprefix("# "), [])
-        else:
-            edits, said = row.split(" → ")
-            of_kind.append((edits.split(" ; "), said))
-    return table
+REFUSALS = table_of("refusals.txt")
 
 
-@pytest.mark.parametrize("kind", read_table())
+@pytest.mark.parametrize("kind", REFUSALS)
 def test_each_file_is_refused_with_its_line(folder: Path, kind: str) -> None:
-    for edits, said in read_table()[kind]:
+    for edits, said in REFUSALS[kind]:
         told = refusal(loaded, written(folder, kind, *edits)).replace(f"{folder}/", "")
         assert told == said
         assert re.fullmatch(r"\S[^\n]*? = [^\n]+: [^\n]+\. [A-Z][^\n]*[.?)]", told)
@@ -44,9 +34,10 @@ def test_each_file_is_refused_with_its_line(folder: Path, kind: str) -> None:
 def places_in(content: Any, above: str = "") -> Iterator[tuple[str, Any]]:
     """Every key and item with its path, at any depth, and what is there."""
     inside = content.items() if isinstance(content, dict) else enumerate(content)
-    for key, value in inside if isinstance(content, dict | list) else ():
+    for key, value in inside:
         yield f"{above}{key}", value
-        yield from places_in(value, f"{above}{key}.")
+        if isinstance(value, dict | list):
+            yield from places_in(value, f"{above}{key}.")
 
 
 KEYS = [(place, value) for place, value in places_in(COPTER) if not place.startswith("targets.")]
@@ -121,8 +112,8 @@ def test_what_is_no_mission_and_no_world_is_told(folder: Path) -> None:
         assert re.search(words, refusal(load_mission, str(name)))
 
 
-NUMBERS = "true 0 -1 1e308 1e-300 4611686018427387904 91.0 16 20 177".split()
-OTHERS = ["9" * 400, "null", '""', '"x\\ny"', '"radar"', '"x.plan"', "[]", "{}", "[[]]", "[{}]"]
+NUMBERS = ["true", "0", "-1", "1e308", "1e-300", f"{2**62}", "9" * 400, "91.0", "16", "20", "177"]
+OTHERS = ["null", '""', '"x\\ny"', '"radar"', '"x.plan"', "[]", "{}", "[[]]", "[{}]"]
 JUNK = st.sampled_from([*NUMBERS, *OTHERS, "[8.0, 47.0]", '{"type": 1}'])
 
 
