@@ -60,7 +60,8 @@ def collection(*features: Any, **more: Any) -> dict[str, Any]:
 
 def item(command: int, *params: float | None, frame: int = 3, **more: Any) -> dict[str, Any]:
     """A mission item as QGroundControl saves it."""
-    return {"type": "SimpleItem", "command": command, "frame": frame, "params": params, **more}
+    numbers = [*params]
+    return {"type": "SimpleItem", "command": command, "frame": frame, "params": numbers, **more}
 
 
 def waypoint(

@@ -19,7 +19,6 @@ from companion.sources.plan_file import Plan, read_plan, read_waypoint_fence, re
 MISSIONS = Path(__file__).parent / "missions"
 PLANS = sorted(path.name for path in MISSIONS.glob("*.plan"))
 FENCED = json.loads((MISSIONS / "fenced.plan").read_text(encoding="utf-8"))
-SET_HOME = item(179, 1, 0, 0, 0, 0, 0, 0)
 
 
 def read(folder: Path, content: Any) -> Plan:
@@ -114,27 +113,10 @@ def test_plans_and_lists_say_what_they_were_made_of(
     assert (shapes(fence.keep_ins), shapes(fence.keep_outs)) == (zones[True], zones[False])
 
 
-def test_what_is_not_done_at_a_waypoint_is_counted(folder: Path) -> None:
-    found = read(
-        folder,
-        plan(
-            *(item(22, 0, 0, 0, None, 47.4, 8.55, 30), item(16, 15, 0, 0, None, 47.41, 8.55, 50)),
-            *(item(16, 5, 0, 0, 90, 47.42, 8.55, 50), item(16, 0, 0, -20, None, 47.43, 8.55, 50)),
-            *(item(22, 0, 0, 0, None, 47.4, 8.55, 30), item(19, 60, 0, 30, None, 47.44, 8.55, 50)),
-            *(item(201, 0, 0, 0, 0, 47.4, 8.55, 0), SET_HOME),
-            waypoint(0.05, altitude_m=450.0, frame=0),
-        ),
-    )
-    assert found.notes == [
-        "left out: 2 x waiting at a waypoint, 1 x heading at a waypoint, "
-        "1 x passing beside a waypoint, 1 x nav takeoff, 1 x loiter at a waypoint, 1 x do set roi, "
-        "1 x do set home"
-    ]
-    plain = read(folder, plan(waypoint()))
-    assert (plain.notes, plain.kind) == ([], "copter")
-    assert plain.speed_m_s == {"copter": 5.0, "plane": None}
+def test_a_survey_is_its_waypoints_and_where_it_lands_and_says_what_is_not_done_there() -> None:
+    """Of other items: `test_mission_file`."""
     survey = read_plan(MISSIONS / "survey.plan", "MISSION")
-    assert (len(survey.targets), survey.end_action) == (6 + 1, "land")  # and where it lands
+    assert (len(survey.targets), survey.end_action) == (6 + 1, "land")
     assert survey.notes == ["left out: 6 x do set cam trigg dist"]
 
 
