@@ -117,6 +117,10 @@ def test_one_request_is_outstanding_until_its_report_or_its_answers_stop() -> No
     assert sum(request is not None for request in asked) == 4
     assert [silent.is_over(at_s) for at_s in (DEADLINE_S - 0.1, DEADLINE_S)] == [False, True]
     assert (silent.answered, told(silent.scan())) == (0, set())
+    alone = download(range_m=1000.0)
+    again = [request for tick in range(35) if (request := alone.on_time(tick / 10)) is not None]
+    assert (len(again), {each.mask for each in again}) == (3, {again[0].mask})
+    assert alone.is_over(3.4)
 
 
 def spoilt(request: Any, bit: int) -> list[Any]:
