@@ -30,10 +30,12 @@ def put_together(chunks: list[tuple[int, bytes, int, int]]) -> str:
 
 
 LENGTHS = (2, 49, 50, 51, 99, 100, 101, 149, 150, 151, 199, 200, 300)
-words = st.sampled_from([("abcdefghi " * 30)[: length - 1] + "x" for length in LENGTHS])
+WORDS = [("abcdefghi " * 30)[: length - 1] + "x" for length in LENGTHS]
 
 
-@given(st.lists(st.tuples(st.text(max_size=400) | words, st.booleans()), max_size=4))
+@given(st.lists(st.tuples(st.text(max_size=400), st.booleans()), max_size=4))
+@example([(words, True) for words in WORDS])
+@example([(words, False) for words in WORDS])
 def test_what_is_said_comes_whole_in_ascii_on_one_line_in_as_few_chunks_as_it_takes(
     said: list[tuple[str, bool]],
 ) -> None:
