@@ -5,53 +5,48 @@ from itertools import pairwise
 
 import pytest
 from pymavlink.dialects.v20 import all as wire
-from wires import SYSTEM
+from wires import SYSTEM, Speaker
 
 from companion.mavlink.autopilots import ALL
-from companion.mavlink.dialect import codec
 from companion.mavlink.frames import IGNORED_MESSAGES
 from companion.mavlink.link import ClockReading, DuplicateIdDetector, VehicleClock
 from companion.mission.events import DuplicateId
 
 
-class Speaker:
+class Companion(Speaker):
     """A process that speaks as 7/195: we, or somebody else."""
 
     def __init__(self, seq: int = 0, system_id: int = SYSTEM) -> None:
-        self.link = codec(system_id)
-        self.link.seq = seq
+        super().__init__(seq=seq, srcSystem=system_id, srcComponent=195)
 
     def beats(self, version: int = 3) -> bytes:
         """A heartbeat; version: what makes it another one."""
-        message = wire.MAVLink_heartbeat_message(18, 8, 0, 0, 4, version)
-        frame: bytes = message.pack(self.link)
-        self.link.seq = (self.link.seq + 1) % 256
-        return frame
+        return self.frame(wire.MAVLink_heartbeat_message(18, 8, 0, 0, 4, version))
 
 
 def test_what_comes_back_of_what_we_said_is_no_stranger() -> None:
     """At once, again, 200 frames late, in any order, or without its signature."""
-    us, it, rng = Speaker(), DuplicateIdDetector(), random.Random(1)
+    us, it, rng = Companion(), DuplicateIdDetector(), random.Random(1)
     frames = [us.beats(tick // 2 % 256) for tick in range(400)]
     for tick, frame in enumerate(frames):
         it.sent.append(frame)
         for back in (0, 0, rng.randrange(200), 200):
             assert it.heard(frames[max(tick - back, 0)], SYSTEM, tick * 0.1) is None
-    unsigned = Speaker(us.link.seq).beats()
-    us.link.signing.secret_key, us.link.signing.sign_outgoing = b"k" * 32, True
+    unsigned = Companion(us.mav.seq).beats()
+    us.mav.signing.secret_key, us.mav.signing.sign_outgoing = b"k" * 32, True
     it.sent.append(us.beats())
     assert it.heard(unsigned, SYSTEM, 40.1) is None
 
 
 def test_one_who_says_the_same_with_a_sequence_of_its_own_is_certain_once_it_goes_on() -> None:
-    us, them, it = Speaker(), Speaker(seq=100), DuplicateIdDetector()
+    us, them, it = Companion(), Companion(seq=100), DuplicateIdDetector()
     told = []
     for second in range(6):
         it.sent.append(us.beats())
         told.append(it.heard(them.beats(), SYSTEM, float(second)))
     assert told == [DuplicateId(time_s=float(at), certain=at > 1, news=at == 2) for at in range(6)]
     # what a dead companion has left in buffers comes in one burst
-    before, it = Speaker(seq=50), DuplicateIdDetector()
+    before, it = Companion(seq=50), DuplicateIdDetector()
     burst = [it.heard(before.beats(), SYSTEM, 10.0 + 0.01 * tick) for tick in range(140)]
     assert [event.certain for event in burst if event is not None] == [False] * 3
     doubted = DuplicateId(time_s=20.0, certain=False)
@@ -60,7 +55,7 @@ def test_one_who_says_the_same_with_a_sequence_of_its_own_is_certain_once_it_goe
 
 @pytest.mark.parametrize("rate_hz", [1, 20, 200])
 def test_a_stranger_that_streams_is_told_of_twice_a_second_at_most(rate_hz: int) -> None:
-    them, it = Speaker(), DuplicateIdDetector()
+    them, it = Companion(), DuplicateIdDetector()
     heard = [it.heard(them.beats(), SYSTEM, k / rate_hz) for k in range(10 * rate_hz)]
     told = [event for event in heard if event is not None]
     assert 0 < len(told) <= 21
@@ -71,9 +66,9 @@ def test_a_stranger_that_streams_is_told_of_twice_a_second_at_most(rate_hz: int)
 
 def test_another_vehicles_companion_is_none_of_ours_once_it_is_clear_whose_we_are() -> None:
     """What was heard before that counts then; one who comes back later is news again."""
-    theirs, it = Speaker(system_id=8), DuplicateIdDetector()
+    theirs, it = Companion(system_id=8), DuplicateIdDetector()
     assert not any(it.heard(theirs.beats(), SYSTEM, float(at)) for at in range(10))
-    them, it = Speaker(), DuplicateIdDetector()
+    them, it = Companion(), DuplicateIdDetector()
     assert not any(it.heard(them.beats(), None, float(at)) for at in range(4))
     told = [it.heard(them.beats(), SYSTEM, float(at)) for at in (4, 10, *range(30, 34))]
     assert [event.time_s for event in told if event and event.news] == [4.0, 32.0]

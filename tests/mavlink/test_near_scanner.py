@@ -17,7 +17,13 @@ from wires import wire
 from companion.config import load_mission
 from companion.geodesy import LocalFrame
 from companion.mavlink.autopilots.messages import position
-from companion.mavlink.near_scanner import ATTITUDE, OF_AUTOPILOT, NearScanner
+from companion.mavlink.near_scanner import (
+    ATTITUDE,
+    OF_AUTOPILOT,
+    NearScanner,
+    messages_of,
+    streams_hz,
+)
 from companion.mavlink.near_sensing import NearSensing
 from companion.mavlink.poses import Poses
 from companion.mission.state import State
@@ -137,6 +143,18 @@ def test_silence_is_told_once_and_so_is_the_return_of_sight(clock_s: float | Non
     told = [it.move_on() for _ in range(30)]
     assert [seen.sight for seen in told if seen] == [Sight.DEAD]
     assert [seen.sight for seen in it.run(3)] == [Sight.SEES] * 3
+
+
+def test_of_the_autopilot_its_attitude_is_asked_for_and_its_own_sectors() -> None:
+    for kind, component, message in (
+        ("obstacle_distance", 196, 330),
+        ("distance_sensor", 158, 132),
+        ("distance_sensor", 1, 132),
+    ):
+        of: Any = replace(MISSION.near, kind=kind, component_id=component)
+        assert messages_of(replace(MISSION, near=of)) == {30, message}
+        asked = set(streams_hz(replace(MISSION, near=of)))
+        assert asked == ({30, 132} if component == 1 else {30})
 
 
 # --- what a lidar behind a real autopilot saw among posts of known place (recordings/README.md)

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from wires import Speaker
 
 from companion.mavlink.dialect import codec, wire
 from companion.mavlink.link import FrameEncoder
@@ -26,21 +27,6 @@ def ours(timestamp: int = NOW) -> Signing:
 
 def stamp_of(frame: bytes) -> int:
     return int.from_bytes(frame[-12:-6], "little")
-
-
-class Speaker:
-    """pymavlink as the other side, with its own signing; without a key it does not sign."""
-
-    def __init__(
-        self, timestamp: int = NOW, key: bytes | None = KEY, link: int = 0, **ids: int
-    ) -> None:
-        self.mav = wire.MAVLink(None, **{"srcSystem": 1, "srcComponent": 1, **ids})
-        self.mav.signing.secret_key, self.mav.signing.link_id = key, link
-        self.mav.signing.timestamp, self.mav.signing.sign_outgoing = timestamp, key is not None
-
-    def frame(self, message: Any = BEAT, **how: Any) -> bytes:
-        frame: bytes = message.pack(self.mav, **how)
-        return frame
 
 
 def test_a_key_is_a_phrase_as_in_ground_stations_or_32_bytes_and_is_never_shown() -> None:
@@ -82,7 +68,7 @@ def test_a_frame_that_was_kept_is_signed_as_pymavlink_would_sign_it_now() -> Non
         plain = message.pack(codec(1))
         for _ in range(3):
             signed = keeper.sign(plain)
-            assert signed == Speaker(stamp_of(signed), srcComponent=195).frame(message)
+            assert signed == Speaker(KEY, stamp_of(signed), srcComponent=195).frame(message)
             assert keeper.sign(signed) == signed
             assert strip_signature(signed) == strip_signature(plain) == plain  # as a log keeps it
     first_protocol = BEAT.pack(codec(1), force_mavlink1=True)
@@ -121,7 +107,7 @@ def test_a_frame_is_believed_if_it_is_signed_and_newer_than_all_of_its_stream(fr
     signing, newest, latest, refused = ours(), dict[str, int](), NOW, 0
     for offset, ids, how, is_radio, place in frames:
         stamp, key = NOW + offset, {"signed": KEY, "bent": KEY, "wrong key": WRONG_KEY}.get(how)
-        frame = Speaker(stamp, key, **ids).frame(
+        frame = Speaker(key, stamp, **ids).frame(
             RADIO if is_radio else BEAT, force_mavlink1=how == "version 1"
         )
         if how == "bent":
@@ -139,7 +125,7 @@ def test_a_frame_is_believed_if_it_is_signed_and_newer_than_all_of_its_stream(fr
 def test_memory_is_bounded_to_256_streams() -> None:
     signing = ours()
     for k in range(300):
-        signing.accepts(Speaker(NOW, link=k % 256, srcSystem=3 + k // 256).frame())
+        signing.accepts(Speaker(KEY, NOW, link=k % 256, srcSystem=3 + k // 256).frame(BEAT))
     assert signing.refused == 300 - 256
 
 

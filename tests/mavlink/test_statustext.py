@@ -29,30 +29,33 @@ def put_together(chunks: list[tuple[int, bytes, int, int]]) -> str:
     return whole.decode("ascii")
 
 
-@pytest.mark.parametrize("length", [2, 49, 50, 51, 99, 100, 101, 149, 150, 151, 199])
-def test_a_warning_comes_whole_in_as_few_chunks_as_it_takes(length: int) -> None:
-    text, texts = ("abcdefghi " * 20)[: length - 1] + "x", StatusTexts()
-    numbers = set()
-    for at_s, words in ((3.0, text), (13.0, text.upper()), (23.0, text[::-1])):
-        texts.add(words, at_s, warning=True)
-        chunks = sent(texts, at_s)
-        assert put_together(chunks) == words
-        assert {severity for severity, *_ in chunks} == {4}  # WARNING
-        numbers |= {number for _, _, number, _ in chunks}
-        assert sent(texts, at_s + 6.0) == []
-    assert (numbers == {0}) if length <= 50 else len(numbers) == 3  # chunks of two do not mix
+LENGTHS = (2, 49, 50, 51, 99, 100, 101, 149, 150, 151, 199, 200, 300)
+WORDS = [("abcdefghi " * 30)[: length - 1] + "x" for length in LENGTHS]
 
 
-@given(st.text(max_size=400), st.booleans())
-def test_whatever_is_said_is_sent_in_ascii_on_one_line(text: str, warning: bool) -> None:
-    texts = StatusTexts()
-    texts.add(text, 1.0, warning=warning)
-    chunks = sent(texts, 1.0)
-    assert 1 <= len(chunks) <= (5 if warning else 1)
+@given(st.lists(st.tuples(st.text(max_size=400), st.booleans()), max_size=4))
+@example([(words, True) for words in WORDS])
+@example([(words, False) for words in WORDS])
+def test_what_is_said_comes_whole_in_ascii_on_one_line_in_as_few_chunks_as_it_takes(
+    said: list[tuple[str, bool]],
+) -> None:
+    """As far as a warning may be long; what is no warning is one message."""
+    texts, numbers = StatusTexts(), list[int]()
+    for at_s, (text, warning) in enumerate(said):
+        texts.add(text, 10.0 * at_s, warning=warning)
+        chunks, plain = sent(texts, 10.0 * at_s), to_ascii(text)
+        whole, longest = put_together(chunks), 199 if warning else 50
+        assert all(32 <= ord(letter) < 127 for letter in whole)
+        assert plain.startswith(whole.removesuffix(".."))
+        assert (whole == plain) == (len(plain) <= longest)
+        assert len(whole) <= longest
+        in_chunks = len(whole) > 50
+        assert len(chunks) == (len(whole) // 50 + 1 if in_chunks else 1)
+        assert {severity for severity, *_ in chunks} == {4 if warning else 6}  # WARNING, INFO
+        numbers += [chunks[0][2]] if in_chunks else []
+        assert sent(texts, 10.0 * at_s + 6.0) == []
+    assert len({*numbers}) == len(numbers)  # chunks of two do not mix
     assert to_ascii("≥ 5 m,\n3 m/s² – Zürich") == ">= 5 m, 3 m/s2 - Zurich"
-    whole = put_together(chunks)
-    assert all(32 <= ord(letter) < 127 for letter in whole)
-    assert to_ascii(text).startswith(whole.removesuffix("..")) or to_ascii(text) == whole
 
 
 @given(

@@ -7,7 +7,6 @@ mask", "terrain data MSL"; data[x * 4 + y] with x north and y east (ArduPilot's 
 
 import math
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -33,26 +32,23 @@ MISSION = replace(
     VALLEY, frame=FRAME, position_rate_hz=2.0 * VALLEY.task.limits.speed_m_s / DRIFT_M
 )
 
-Heights = Callable[[Any, int], list[int]]
-"""Of the 16 cells of a block, by its bit in a request."""
 
-
-def height_m(north_m: float, east_m: float) -> float:
+def height_m(north_m: Any, east_m: Any) -> Any:
     """A slope that is steep to the north and less so to the east: no flip leaves it the same."""
     return 0.1 * (north_m - 100_000.0) + 0.013 * (east_m - 100_000.0) + 1000.0
 
 
 def true_heights(request: Any, bit: int) -> list[int]:
     """At the middles of the cells, which lie true north and true east of the request's corner."""
-    (row, column), heights = divmod(bit, 8), []
-    for x, y in np.ndindex(4, 4):
-        north_m, east_m = CELL_M * (4 * row + x + 0.5), CELL_M * (4 * column + y + 0.5)
-        azimuth, away_m = math.degrees(math.atan2(east_m, north_m)), math.hypot(north_m, east_m)
-        place = GEOD.fwd(request.lon * 1e-7, request.lat * 1e-7, azimuth, away_m)
-        azimuth, _, away_m = GEOD.inv(8.0, 47.0, *place[:2])  # from the frame's origin
-        turn = math.radians(azimuth)
-        heights.append(round(height_m(away_m * math.cos(turn), away_m * math.sin(turn))))
-    return heights
+    (row, column), (x, y) = divmod(bit, 8), np.indices((4, 4)).reshape(2, 16)
+    north_m, east_m = CELL_M * (4 * row + x + 0.5), CELL_M * (4 * column + y + 0.5)
+    azimuth, away_m = np.degrees(np.arctan2(east_m, north_m)), np.hypot(north_m, east_m)
+    corner, origin = np.ones(16) * 1e-7, np.ones(16)
+    places = GEOD.fwd(request.lon * corner, request.lat * corner, azimuth, away_m)
+    azimuth, _, away_m = GEOD.inv(8.0 * origin, 47.0 * origin, *places[:2])  # the frame's
+    turn = np.radians(azimuth)
+    heights = height_m(away_m * np.cos(turn), away_m * np.sin(turn))
+    return [round(height) for height in heights]
 
 
 def bits(mask: int) -> list[int]:
@@ -68,21 +64,10 @@ def report(request: Any, pending: int = 0) -> Any:
     return heard("TERRAIN_REPORT", lat=request.lat, lon=request.lon, pending=pending)
 
 
-def answers(request: Any, heights: Heights = lambda *_: [500] * 16) -> list[Any]:
+def answers(request: Any, heights: tuple[int, ...] = (500,) * 16) -> list[Any]:
     """All blocks that are asked for, and the report."""
-    blocks = (block(request, bit, heights(request, bit)) for bit in bits(request.mask))
+    blocks = (block(request, bit, [*heights]) for bit in bits(request.mask))
     return [*blocks, report(request)]
-
-
-def run(task: TerrainDownload, *heights: Heights) -> list[Any]:
-    """All requests; the radar answers within a tenth of a second."""
-    requests = []
-    for at_s in (tick / 10 for tick in range(round(DEADLINE_S * 10) + 1)):
-        if not task.is_over(at_s) and (request := task.on_time(at_s)) is not None:
-            requests.append(request)
-            for message in answers(request, *heights):
-                task.on_message(message, HERE)
-    return requests
 
 
 def download(
@@ -110,26 +95,6 @@ def told(scan: Scan) -> set[float]:
 NORTH_M, EAST_M = np.broadcast_arrays(*MAP.middles_m())
 
 
-@pytest.mark.parametrize("centre", [CORNER, (0.0, 0.0), (50_000.0, 100_000.0), (-4e3, 103_000.0)])
-def test_all_within_range_is_asked_for_once_and_lands_in_the_cell_that_it_belongs_to(
-    centre: tuple[float, float],
-) -> None:
-    task = download(centre, 3000.0)
-    run(task, true_heights)
-    scan, answered = task.scan(), on_map(task.scan())
-    slack_m = 0.6 + scan.registration_m * math.hypot(0.1, 0.013)
-    assert slack_m < 0.1 * CELL_M / 2  # less than a cell's error would be
-    seen = np.isfinite(answered)
-    off_m = answered - height_m(NORTH_M, EAST_M)
-    assert np.abs(off_m[seen]).max() < slack_m
-    assert seen[np.hypot(NORTH_M - centre[0], EAST_M - centre[1]) <= 3000.0].all()
-    assert task.asked == task.answered
-    known = MAP.with_scan(scan)
-    assert list(areas(known, centre, 3000.0 - 2 * CELL_M, FRAME)) == []
-    again = download(centre, 3000.0, known)
-    assert (again.asked, again.is_over(0.0), again.on_time(0.0)) == (0, True, None)
-
-
 def test_one_request_is_outstanding_until_its_report_or_its_answers_stop() -> None:
     """For a second before the first answer, and for 0.4 s after one."""
     task = download(range_m=10_000.0)
@@ -152,6 +117,10 @@ def test_one_request_is_outstanding_until_its_report_or_its_answers_stop() -> No
     assert sum(request is not None for request in asked) == 4
     assert [silent.is_over(at_s) for at_s in (DEADLINE_S - 0.1, DEADLINE_S)] == [False, True]
     assert (silent.answered, told(silent.scan())) == (0, set())
+    alone = download(range_m=1000.0)
+    again = [request for tick in range(35) if (request := alone.on_time(tick / 10)) is not None]
+    assert (len(again), {each.mask for each in again}) == (3, {again[0].mask})
+    assert alone.is_over(3.4)
 
 
 def spoilt(request: Any, bit: int) -> list[Any]:
@@ -162,10 +131,17 @@ def spoilt(request: Any, bit: int) -> list[Any]:
     return [block(request, bit, [9] * 16, **each) for each in (*others, *wrong_bits)]
 
 
-@given(st.randoms(use_true_random=False))
-def test_whatever_is_lost_repeated_or_spoilt_a_cell_has_its_height_or_is_unknown(rng: Any) -> None:
-    """What is lost is asked for twice more, alone."""
-    task, asked, told = download(range_m=1500.0), Counter[Any](), set[Any]()
+@given(
+    st.sampled_from([CORNER, (0.0, 0.0), (50_000.0, 100_000.0), (-4e3, 103_000.0)]),
+    st.sampled_from([1000.0, 2000.0]),
+    st.sampled_from([0.6, 1.0]),
+    st.randoms(use_true_random=False),
+)
+def test_each_cell_within_range_gets_its_height_or_if_that_is_lost_or_spoilt_it_is_unknown(
+    centre: tuple[float, float], range_m: float, told_share: float, rng: Any
+) -> None:
+    """What is lost is asked for twice more, alone; what is known is not asked for again."""
+    task, asked, told = download(centre, range_m), Counter[Any](), set[Any]()
     for tick in range(40):
         if (request := task.on_time(tick / 10)) is None:
             continue
@@ -174,28 +150,34 @@ def test_whatever_is_lost_repeated_or_spoilt_a_cell_has_its_height_or_is_unknown
             assert place not in told
             asked[place] += 1
             messages = spoilt(request, bit)
-            if rng.random() < 0.6:
+            if rng.random() < told_share:
                 told.add(place)
                 again = block(request, bit, [9] * 16)
                 messages += [block(request, bit, true_heights(request, bit)), again]
             for message in messages:
                 task.on_message(message, HERE)
         task.on_message(report(request), HERE)
-    assert task.answered == len(told)
+    assert (task.answered, task.asked) == (len(told), len(asked))
     assert {place for place, times in asked.items() if times == 3} >= asked.keys() - told
     assert max(asked.values()) <= 3
     scan = task.scan()
-    heights_m, after = on_map(scan), MAP.with_scan(scan)
+    heights_m, known = on_map(scan), MAP.with_scan(scan)
     seen = ~np.isnan(heights_m)
-    off_m = np.abs(heights_m - height_m(NORTH_M, EAST_M))
-    assert off_m[seen].max(initial=0.0) < 0.1 * CELL_M / 2
-    assert not after.seen[~seen].any()  # nor sheltered
-    assert np.isinf(after.upper_m[~seen]).all()
+    slack_m = 0.6 + scan.registration_m * math.hypot(0.1, 0.013)
+    assert slack_m < 0.1 * CELL_M / 2  # less than a cell's error would be
+    assert np.abs(heights_m - height_m(NORTH_M, EAST_M))[seen].max(initial=0.0) < slack_m
+    assert not known.seen[~seen].any()  # nor sheltered
+    assert np.isinf(known.upper_m[~seen]).all()
+    if told_share == 1.0:
+        assert seen[np.hypot(NORTH_M - centre[0], EAST_M - centre[1]) <= range_m].all()
+        assert list(areas(known, centre, range_m - 2 * CELL_M, FRAME)) == []
+        again = download(centre, range_m, known)
+        assert (again.asked, again.is_over(0.0), again.on_time(0.0)) == (0, True, None)
 
 
 def test_heights_are_kept_with_the_place_of_the_radar_and_minus_32768_is_not_seen() -> None:
-    task, said = download(), [-32768, -32767, -1, 0, 1, 32767] + [5] * 10
-    first, *others = answers(task.on_time(0.0), lambda *_: said)
+    task, said = download(), (-32768, -32767, -1, 0, 1, 32767, *(5,) * 10)
+    first, *others = answers(task.on_time(0.0), said)
     task.on_message(first, (1.0, 2.0, 3.0))
     for message in others:
         task.on_message(message, HERE)

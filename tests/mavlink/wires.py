@@ -18,6 +18,26 @@ SYSTEM = 7
 _KINDS: dict[str, Any] = {kind.msgname: kind for kind in wire.mavlink_map.values()}
 
 
+class Speaker:
+    """pymavlink as who sends, with signatures of its own; without a key it does not sign."""
+
+    def __init__(
+        self, key: bytes | None = None, timestamp: int = 0, *, link: int = 0, seq: int = 0,
+        **ids: int,
+    ) -> None:  # fmt: skip
+        """ids: srcSystem and srcComponent; an autopilot's if they are left out."""
+        self.mav = wire.MAVLink(None, **{"srcSystem": 1, "srcComponent": 1, **ids})
+        self.mav.signing.secret_key, self.mav.signing.link_id = key, link
+        self.mav.signing.timestamp, self.mav.signing.sign_outgoing = timestamp, key is not None
+        self.mav.seq = seq
+
+    def frame(self, message: Any, **how: Any) -> bytes:
+        """Each has the next sequence number."""
+        frame: bytes = message.pack(self.mav, **how)
+        self.mav.seq = (self.mav.seq + 1) % 256
+        return frame
+
+
 def over_the_wire(message: Any, source: tuple[int, int] = (1, 1)) -> Any:
     """What the other side reads: packed to bytes by one codec, parsed by another."""
     sender = wire.MAVLink(None, srcSystem=source[0], srcComponent=source[1])

@@ -7,15 +7,14 @@ from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
 
+from planning import BLANK, TASK, ask
 from pymavlink.dialects.v20 import all as wire
 
 from companion.config import load_mission
 from companion.mavlink.link import Output
 from companion.mission.events import End, Outcome
-from companion.planner.procedure import hover_pose
 from companion.planner.request import PlanRequest
 from companion.runtime.link import Link
-from companion.world.known_map import empty_map
 
 PATIENCE_S, PERIOD_S = 20.0, 0.02
 CODEC = wire.MAVLink(None, srcSystem=1, srcComponent=195)
@@ -44,19 +43,9 @@ HOLD = packed(wire.MAVLink_command_long_message(1, 1, 176, 0, 1.0, 17.0, *[0.0] 
 
 
 def request_of(plan_id: int, *, planning_time_s: float = 0.5) -> PlanRequest:
-    task = load_mission("valley").task
-    settings = replace(task.settings, planning_time_s=planning_time_s)
-    start = hover_pose((0.0, 0.0, 2500.0))
-    return PlanRequest(
-        plan_id=plan_id,
-        seed=1,
-        task=replace(task, settings=settings),
-        known=empty_map(task.cell_m, (0.0, 100.0), (0.0, 100.0)),
-        scan_nea_m=start.point_nea_m,
-        start=start,
-        from_rest=True,
-        target_ne_m=(50.0, 50.0),
-    )
+    settings = replace(TASK.settings, planning_time_s=planning_time_s)
+    task = replace(TASK, settings=settings)
+    return ask(task, BLANK, (0.0, 0.0, 500.0), plan_id=plan_id)
 
 
 @dataclass
@@ -105,9 +94,6 @@ class StubSession:
     def signed(self, frames: list[bytes]) -> list[bytes]:
         return frames
 
-    def ask(self, request: PlanRequest) -> None:
-        self.out.plan = request
-
     def deliver(self, _outcome: object) -> None:
         pass
 
@@ -117,8 +103,8 @@ class StubSession:
     def stop(self) -> None:
         self.end = End(outcome=Outcome.STOPPED, reason="asked to", remedy="")
 
-    def final_text(self, why: str) -> list[bytes]:
-        return [packed(wire.MAVLink_statustext_message(4, f"ended: {why}"[:50].encode()))]
+    def final_text(self, _why: str) -> list[bytes]:
+        return []
 
     def hold_frames(self) -> list[bytes]:
         return [HOLD]

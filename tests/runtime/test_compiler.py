@@ -3,8 +3,6 @@
 import os
 import pickle
 import shutil
-import subprocess
-import sys
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -85,8 +83,7 @@ def test_the_same_sources_have_the_same_folder_and_a_change_in_any_has_another(
     """Under the folder that is given, or inherited by another process."""
     before, sources = folder_of_cache(tmp_path, monkeypatch), jit.SOURCES
     assert (before.parent, [*before.iterdir()]) == (tmp_path, [])
-    assert jit.cache_on_disk()  # as a process that inherits it
-    assert Path(os.environ["NUMBA_CACHE_DIR"]) == before
+    assert jit.cache_on_disk() == before  # as a process that inherits it
     for index, source in enumerate(sources):
         changed = tmp_path / f"changed{index}"
         shutil.copy(Path(jit.__file__).parent / f"{source}.py", changed.with_suffix(".py"))
@@ -98,22 +95,12 @@ def test_the_same_sources_have_the_same_folder_and_a_change_in_any_has_another(
         assert folder_of_cache(tmp_path, monkeypatch) != before
 
 
-UNCACHED = """
-import tempfile
-tempfile.tempdir = "{nowhere}"
-from companion import jit
-from companion.planner import kernels
-assert jit.cache_on_disk() is None
-jit.compiled(kernels.search)
-"""
-
-
-@pytest.mark.xdist_group("compiled")
-def test_on_a_read_only_system_the_kernel_is_compiled_without_one(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("not a folder")
-    nowhere = str(tmp_path / "file" / "home")
-    environment = {**os.environ, "HOME": nowhere, "XDG_CACHE_HOME": nowhere, "NUMBA_OPT": "0"}
-    environment.pop("NUMBA_CACHE_DIR", None)
-    program = UNCACHED.format(nowhere=nowhere)
-    subprocess.run([sys.executable, "-c", program], env=environment, timeout=300, check=True)
-    assert list(tmp_path.iterdir()) == [tmp_path / "file"]
+def test_where_nothing_can_be_written_it_is_compiled_without_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()  # not even root can write below it
+    monkeypatch.setattr(jit, "cache_folder", lambda: None)
+    for chosen in ("", str(tmp_path / "file")):
+        monkeypatch.setenv("NUMBA_CACHE_DIR", chosen)
+        assert jit.cache_on_disk() is None
+    assert jit.compiled.__wrapped__(lambda: 7)() == 7

@@ -87,25 +87,20 @@ def test_the_time_is_kept_for_us_alone_and_a_disk_that_fails_ends_no_flight(tmp_
     jump_s=st.floats(-1e9, 1e9),
     down_s=st.floats(0, 1e6),
 )
-def test_a_new_process_is_above_all_that_the_last_one_used(
+def test_a_new_process_is_above_all_that_the_last_one_used_and_hardly_farther_ahead_of_the_clock(
     ahead_s: float, ran_s: float, jump_s: float, down_s: float
 ) -> None:
-    """Killed up to SAVE_EVERY_S after it kept its time, on a clock that may jump back."""
+    """Killed up to SAVE_EVERY_S after it kept its time, on a clock that may jump back.
+
+    Who runs ahead takes the vehicle along, and locks out a ground station with a true clock.
+    """
     kept = timestamp_of(CLOCK_S + ahead_s), CLOCK_S
     used = kept[0] + round(ran_s * TICKS_PER_S)
     clock_s = CLOCK_S + ran_s + down_s + min(jump_s, 0.0)
+    first, now = first_timestamp(clock_s, kept), timestamp_of(clock_s)
     went_back_unseen = clock_s >= CLOCK_S and jump_s < 0.0
     if not went_back_unseen:
-        assert first_timestamp(clock_s, kept) > used
-
-
-def test_restarts_hardly_run_ahead_of_the_clock() -> None:
-    """Who runs ahead takes the vehicle along, and locks out a ground station with a true clock."""
-    clock_s = CLOCK_S
-    stamp = timestamp_of(clock_s)
-    for _ in range(50):
-        kept = (stamp, clock_s)
-        clock_s += 10.0
-        stamp = first_timestamp(clock_s, kept)
-    assert stamp <= timestamp_of(clock_s) + 59 * TICKS_PER_S
-    assert first_timestamp(clock_s + 3600.0, (stamp, clock_s)) == (timestamp_of(clock_s + 3600.0))
+        assert first > used
+    assert first <= max(now, kept[0] + 61 * TICKS_PER_S)
+    if clock_s >= CLOCK_S:
+        assert first <= now + (ahead_s + 1.01) * TICKS_PER_S

@@ -98,8 +98,9 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 def test_a_planner_does_not_outlive_a_companion_that_is_killed_nor_end_by_ctrl_c() -> None:
     """Nor while it is started, nor by SIGTERM; its standard error ends with who holds it last."""
-    command, here = [sys.executable, "-c", PROGRAM], Path(__file__).parent
-    parent = subprocess.run(command, cwd=here, capture_output=True, timeout=60, check=False)
+    command = [sys.executable, "-c", PROGRAM]
+    paths = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    parent = subprocess.run(command, env=paths, capture_output=True, timeout=60, check=False)
     assert (parent.returncode, parent.stderr) == (-signal.SIGKILL, b"")
 
 

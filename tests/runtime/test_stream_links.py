@@ -22,6 +22,8 @@ from companion.runtime import link as links
 from companion.runtime.link import Link, open_link
 
 PATIENCE_S = 10.0
+NO_DEVICE = 99_999
+"""A number that no open file has."""
 
 
 def until(done: Callable[[], Any]) -> None:
@@ -258,19 +260,12 @@ def test_a_device_that_vanishes_while_it_is_opened_again_is_opened_once_more(
 ) -> None:
     """As the USB of a flight controller does; of a port that is gone this is no OSError."""
     really = getattr(termios, step)
-
-    def meanwhile(*arguments: object) -> None:
-        monkeypatch.setattr(termios, step, really)
-        terminal.goes()
-        really(*arguments)
-
     with open_link(terminal.name) as link:
         terminal.goes()
         assert link.receive(0.02) is None
         terminal.comes_back()
-        monkeypatch.setattr(termios, step, meanwhile)  # while it is set up, once
-        assert link.receive(0.02) is None
-        assert not terminal.path.exists()
-        terminal.comes_back()
+        with monkeypatch.context() as meanwhile:
+            meanwhile.setattr(termios, step, lambda _, *arguments: really(NO_DEVICE, *arguments))
+            assert link.receive(0.02) is None
         os.write(terminal.answers(link), b"back")
         assert heard(link, 4) == b"back"

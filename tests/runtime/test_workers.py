@@ -34,6 +34,7 @@ class Rig:
 
     def __init__(self, folder: RunFolder) -> None:
         self.session, self.folder, self.link = StubSession(), folder, SpeakingLink()
+        self.planner: Any = PlannerHere(odd_planners.echoes)
         self.options: dict[str, Any] = {"on_progress": lambda _: None, "lockstep": False}
         self.flight = Future[FlightSummary]()
         self.broken_s = math.inf
@@ -43,32 +44,26 @@ class Rig:
         self._over = threading.Event()
 
     def _fly(self) -> None:
-        options: Any = {"planner": PlannerHere(odd_planners.echoes), **self.options}
         session: Any = self.session
+        options: Any = {"planner": self.planner, "stop_asked": self._over.is_set}
+        options |= self.options
         try:
-            flown = loop.fly(
-                session, self.link, self.folder, stop_asked=self._over.is_set, **options
-            )
+            self.flight.set_result(loop.fly(session, self.link, self.folder, **options))
         except BaseException as error:  # noqa: BLE001 - looked at by the test
             self.flight.set_exception(error)
-        else:
-            self.flight.set_result(flown)
 
-    def breaks(self, error: Exception | None = None) -> None:
-        """From now on; raised, if there is an error."""
-        self.broken_s = time.monotonic()
-        if error is not None:
-            raise error
-
-    def at(self, number: int, does: Callable[[], object]) -> None:
-        """What the session does with that datagram."""
-        self.session.on_datagram = lambda count: count == number and does()
-
-    def has_planner(self) -> PlannerProcess:
+    def has_planner(self) -> None:
         """In a process of its own."""
-        planner = PlannerProcess(odd_planners.echoes, odd_planners.nothing)
-        self.options["planner"] = planner
-        return planner
+        self.planner = PlannerProcess(odd_planners.echoes, odd_planners.nothing)
+
+    def breaks(self, does: Callable[[], object], at: int = BREAKS_AT) -> None:
+        """What the session does with that datagram."""
+
+        def breaks() -> object:
+            self.broken_s = time.monotonic()
+            return does()
+
+        self.session.on_datagram = lambda count: count == at and breaks()
 
     @contextmanager
     def flying(self) -> Iterator[None]:
@@ -115,55 +110,42 @@ def rig(folder: RunFolder, monkeypatch: pytest.MonkeyPatch) -> Rig:
     return Rig(folder)
 
 
-# --- deaths: how each comes about in a flight, and what is said of it
+def raises(_rig: Rig) -> None:
+    raise OSError("made up")
 
 
-def session_raises(rig: Rig) -> str:
-    rig.at(BREAKS_AT, lambda: rig.breaks(OSError("made up")))
-    return "decider: OSError: made up"
-
-
-def session_raises_and_cannot_even_say_hold(rig: Rig) -> str:
+def raises_and_cannot_even_say_hold(rig: Rig) -> None:
     """It has said it before."""
-
-    def does() -> None:
-        rig.session.hold_frames = None  # type: ignore[assignment, method-assign]
-        rig.breaks(KeyError("made up"))
-
-    rig.at(BREAKS_AT, does)
-    return "decider: KeyError: 'made up'"
+    rig.session.hold_frames = None  # type: ignore[assignment, method-assign]
+    raise KeyError("made up")
 
 
-def session_stands_still(rig: Rig) -> str:
-    rig.at(BREAKS_AT, lambda: (rig.breaks(), rig.released.wait()))
-    return "decider: it has stood still for 0."
+def stands_still(rig: Rig) -> None:
+    rig.released.wait()
 
 
-def planner_is_killed(rig: Rig) -> str:
+def kills_the_planner(rig: Rig) -> None:
     """Its process, while nobody asks it anything."""
-    planner = rig.has_planner()
-
-    def kill() -> None:
-        rig.breaks()
-        assert planner.process is not None
-        planner.process.kill()
-
-    rig.at(10, kill)
-    return "planner: its process has ended (SIGKILL)"
+    rig.planner.process.kill()
 
 
 @pytest.mark.parametrize(
-    ("death", "lockstep"),
+    ("death", "told", "lockstep"),
     [
-        *((session_raises, False), (session_raises, True), (session_stands_still, False)),
-        *((session_raises_and_cannot_even_say_hold, False), (planner_is_killed, False)),
+        *((raises, "decider: OSError: made up", lockstep) for lockstep in (False, True)),
+        (raises_and_cannot_even_say_hold, "decider: KeyError: 'made up'", False),
+        (stands_still, "decider: it has stood still for 0.", False),
+        (kills_the_planner, "planner: its process has ended (SIGKILL)", False),
     ],
 )
 def test_once_a_part_has_died_nothing_is_streamed_any_more_and_the_vehicle_is_told_to_hold(
-    rig: Rig, death: Callable[[Rig], str], lockstep: bool
+    rig: Rig, death: Callable[[Rig], None], told: str, lockstep: bool
 ) -> None:
     """In time, which in lockstep nothing depends on.  The decider's hold is sent three times."""
-    (part, _, error), rig.options["lockstep"] = death(rig).partition(": "), lockstep
+    (part, _, error), rig.options["lockstep"] = told.partition(": "), lockstep
+    rig.breaks(lambda: death(rig))
+    if part == "planner":
+        rig.has_planner()
     with rig.flying():
         assert rig.end.outcome is Outcome.FAILED
         assert part in rig.end.reason
@@ -183,61 +165,27 @@ def test_once_a_part_has_died_nothing_is_streamed_any_more_and_the_vehicle_is_to
     assert HOLD in (rig.folder.path / "flight.tlog").read_bytes()
 
 
-def terminal_fails(rig: Rig) -> type[Exception]:
-    def show(_flown: object) -> None:
-        if rig.broken_s < time.monotonic():
-            raise BrokenPipeError
-
-    rig.options["on_progress"] = show
-    return BrokenPipeError
-
-
-def clock_fails(rig: Rig) -> type[Exception]:
-    """In the thread of the watchdog."""
-
-    def clock() -> float:
-        now_s, thread = time.monotonic(), threading.current_thread()
-        if thread is rig.thread and rig.broken_s < now_s:
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+@pytest.mark.parametrize("fails", ["on_progress", "clock"])
+def test_a_watchdog_that_fails_or_cannot_show_ends_the_flight_as_if_stopped_and_raises(
+    rig: Rig, fails: str
+) -> None:
+    def failing(*_flown: object) -> float:
+        """As clock in the thread of the watchdog alone."""
+        now_s = time.monotonic()
+        of_watchdog = threading.current_thread() is rig.thread
+        if rig.broken_s < now_s and (of_watchdog or fails != "clock"):
             raise MemoryError("made up")
         return now_s
 
-    rig.options["clock"] = clock
-    return MemoryError
-
-
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-@pytest.mark.parametrize("fails", [terminal_fails, clock_fails])
-def test_a_watchdog_that_fails_or_cannot_show_ends_the_flight_as_if_stopped_and_raises(
-    rig: Rig, fails: Callable[[Rig], type[Exception]]
-) -> None:
-    planner, error = rig.has_planner(), fails(rig)
+    rig.options[fails] = failing
+    rig.has_planner()
     with rig.flying():
-        rig.breaks()
-        assert isinstance(rig.flight.exception(PATIENCE_S), error)
+        rig.broken_s = time.monotonic()
+        assert isinstance(rig.flight.exception(PATIENCE_S), MemoryError)
     assert rig.session.has_left
     assert rig.link.times_of(HOLD) == []
-    assert planner.process is not None
-    assert not planner.process.is_alive()
-
-
-def test_a_hold_that_does_not_get_out_is_tried_again(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fails, send = [OSError("made up")], rig.link.send
-
-    def sends(frames: list[bytes]) -> None:
-        if HOLD in frames and fails:
-            raise fails.pop()
-        send(frames)
-
-    monkeypatch.setattr(rig.link, "send", sends)
-    rig.at(BREAKS_AT, lambda: rig.breaks(KeyError("made up")))
-    with rig.flying():
-        assert rig.end.outcome is Outcome.FAILED
-    assert len(rig.link.times_of(HOLD)) == 2
-
-
-# --- what is no death
+    assert not rig.planner.process.is_alive()
 
 
 @pytest.mark.parametrize(("lockstep", "at"), [(False, 1), (True, BREAKS_AT)])
@@ -246,7 +194,7 @@ def test_a_slow_start_is_no_death_nor_is_a_slow_lockstep_or_a_terminal_that_bloc
 ) -> None:
     """Before the stream a part may take its time: a computer that starts up is busy."""
     rig.options |= {"lockstep": lockstep, "on_progress": lambda _: rig.released.wait() and None}
-    rig.at(at, lambda: threading.Event().wait(0.6))
+    rig.breaks(lambda: threading.Event().wait(0.6), at)
     with rig.flying():
         rig.link.wait_until(lambda: len(rig.session.received) > BREAKS_AT + 5)
     assert rig.link.times_of(HOLD) == []

@@ -5,14 +5,17 @@ import shutil
 from pathlib import Path
 
 import pytest
-from documents import terrain, threats
+from documents import collection, feature, terrain
 
 
 @pytest.fixture(scope="session")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("files")
     terrain(path / "dem.tif")
-    (path / "no-terrain.tif").write_bytes(bytes(100))
+    for name in ("no-terrain.tif", "N46E008.hgt"):
+        (path / name).write_bytes(bytes(100))
     shutil.copy(Path(__file__).parent / "missions" / "fenced.plan", path)
-    (path / "threats.geojson").write_text(json.dumps(threats()), encoding="utf-8")
+    wood = [[8.01, 47.01], [8.02, 47.01], [8.02, 47.015], [8.01, 47.01]]
+    zones = collection(feature("Polygon", [wood, wood], name="wood"))  # with a hole
+    (path / "threats.geojson").write_text(json.dumps(zones), encoding="utf-8")
     return path

@@ -10,20 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 from geotiff import write_elevation
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rasterio.transform import Affine
 
 import companion
-from companion.config import load_mission, load_world, mission_text
+from companion.config import load_mission, load_world, mission_text, world_table
 from companion.errors import InputError
 from companion.mission.mission import Mission
 from companion.sources.files import toml_text
 
 ENVIRONMENTS = Path(companion.__file__).parent / "environments"
-NUMBERS = [True, 0, -1, 1e308, 1e-300, 2**62, 10**400, 91.0, 16, 20, 177]
-OTHERS = [None, "", "x\ny", "radar", "x.plan", [], {}, [[]], [{}], [8.0, 47.0], {"type": 1}]
-JUNK = st.sampled_from([*NUMBERS, *OTHERS])
 
 RING = [[8.0, 47.0], [8.1, 47.0], [8.1, 47.2], [8.0, 47.0]]
 HOLE = [[8.04, 47.02], [8.08, 47.02], [8.08, 47.1], [8.04, 47.02]]
@@ -51,10 +47,6 @@ def edited(document: Any, *edits: str) -> Any:
     return document
 
 
-def of_toml(path: Path) -> dict[str, Any]:
-    return tomllib.loads(path.read_text(encoding="utf-8"))
-
-
 def feature(shape: str, coordinates: Any, **properties: Any) -> dict[str, Any]:
     """A feature of GeoJSON."""
     geometry = {"type": shape, "coordinates": coordinates}
@@ -68,7 +60,8 @@ def collection(*features: Any, **more: Any) -> dict[str, Any]:
 
 def item(command: int, *params: float | None, frame: int = 3, **more: Any) -> dict[str, Any]:
     """A mission item as QGroundControl saves it."""
-    return {"type": "SimpleItem", "command": command, "frame": frame, "params": params, **more}
+    numbers = [*params]
+    return {"type": "SimpleItem", "command": command, "frame": frame, "params": numbers, **more}
 
 
 def waypoint(
@@ -135,16 +128,32 @@ DOCUMENTS: dict[str, tuple[str, Any]] = {
     "mission by a lidar": ("mission.toml", FOREST),
     "all of a mission": ("mission.toml", edited(COPTER, *EVERYTHING)),
     "plan": ("x.plan", plan(waypoint(), waypoint(0.02))),
+    "mission that names a plan": ("mission.toml", {"plan": "fenced.plan"}),
     "list": ("x.txt", ["QGC WPL 110", "0 1 0 16 0 0 0 0 47 8 9 1", "1 0 3 16 0 0 0 0 47 8.01 9 1"]),
     "GeoJSON": (
         "x.geojson",
         collection(feature("Polygon", [RING]), feature("Polygon", [HOLE], name="x")),
     ),
     "elevation file": ("x.tif", {"crs": "EPSG:4326"}),
-    "world": ("world.toml", of_toml(ENVIRONMENTS / "environment-1" / "world.toml")),
-    "world of a file": ("world.toml", of_toml(ENVIRONMENTS / "valley" / "world.toml")),
+    "world": ("world.toml", world_table("environment-1")),
+    "world of a file": ("world.toml", world_table("valley")),
 }
-"""By the names that `refusals.txt` has for them: the name of the file, and what is in it."""
+"""By the names that tables have for them: the name of the file, and what is in it."""
+
+
+def table_of(name: str) -> dict[str, list[tuple[list[str], str]]]:
+    """Edits of each file and what is said of it, by the kind of the file; without edits: as it is.
+
+    A row is "edit ; edit → said", below "# kind".
+    """
+    table: dict[str, list[tuple[list[str], str]]] = {}
+    for row in (Path(__file__).parent / name).read_text("utf-8").splitlines():
+        if row.startswith("# "):
+            of_kind = table.setdefault(row.removeprefix("# "), [])
+        else:
+            edits, said = row.split("→ ")
+            of_kind.append((edits.strip().split(" ; ") if edits else [], said))
+    return table
 
 
 def written(folder: Path, kind: str, *edits: str, content: Any = None) -> Path:
@@ -171,12 +180,6 @@ def terrain(path: Path, heights_m: NDArray[Any] = HEIGHTS_M, **changes: Any) -> 
     write_elevation(path, heights_m, north_west_deg, STEP_DEG, **changes)
 
 
-def threats() -> dict[str, Any]:
-    """A file of one zone, with a hole."""
-    wood = [[8.01, 47.01], [8.02, 47.01], [8.02, 47.015], [8.01, 47.01]]
-    return collection(feature("Polygon", [wood, wood], name="wood"))
-
-
 def loaded(path: Path) -> object:
     """What a file says, by itself or named by a mission or a world."""
     if path.suffix == ".geojson":
@@ -200,14 +203,3 @@ def refusal(read: Callable[..., object], *arguments: Any) -> str:
     message = str(caught.value)
     assert len(message.splitlines()) == 1
     return message
-
-
-def replace_somewhere(content: Any, data: st.DataObject) -> None:
-    """Put something else into a place of a JSON or TOML value, at any depth."""
-    here = content
-    while keys := list(here) if isinstance(here, dict) else list(range(len(here))):
-        key = data.draw(st.sampled_from(keys))
-        if not isinstance(here[key], dict | list) or data.draw(st.integers(0, 4)) == 0:
-            here[key] = copy.deepcopy(data.draw(JUNK))
-            return
-        here = here[key]

@@ -82,13 +82,6 @@ def test_holes_are_filled_or_refused(
     assert found.heights_m.min() == filled
 
 
-def test_nothing_is_read_but_elevation_files_that_are_there(tmp_path: Path) -> None:
-    for name in ("terrain.tif", "N46E008.hgt"):
-        (tmp_path / name).write_bytes(b"\0" * 100)
-        assert "cannot be read" in refusal(read, tmp_path / name)
-    assert "no such file" in refusal(read, Path("/vsicurl/http://127.0.0.1/terrain.tif"))
-
-
 def test_both_programs_read_the_same_heights_to_a_centimetre() -> None:
     rng = np.random.default_rng(6)
     north, east = rng.uniform(-5_200, 5_200, 10_000), rng.uniform(-4_200, 3_700, 10_000)

@@ -1,12 +1,10 @@
 """Plans and lists of waypoints: what they say and what is assumed; refused: `test_refusals`."""
 
 import json
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import pyproj
 import pytest
 from documents import HEIGHTS_M, STEP_DEG, item, mission, plan, refusal, waypoint
 from hypothesis import given
@@ -21,8 +19,6 @@ from companion.sources.plan_file import Plan, read_plan, read_waypoint_fence, re
 MISSIONS = Path(__file__).parent / "missions"
 PLANS = sorted(path.name for path in MISSIONS.glob("*.plan"))
 FENCED = json.loads((MISSIONS / "fenced.plan").read_text(encoding="utf-8"))
-GEOD = pyproj.Geod(ellps="WGS84")
-SET_HOME = item(179, 1, 0, 0, 0, 0, 0, 0)
 
 
 def read(folder: Path, content: Any) -> Plan:
@@ -117,43 +113,10 @@ def test_plans_and_lists_say_what_they_were_made_of(
     assert (shapes(fence.keep_ins), shapes(fence.keep_outs)) == (zones[True], zones[False])
 
 
-def test_the_altitude_of_a_waypoint_is_known_by_its_frame(folder: Path) -> None:
-    """The last is one to land where it is, and no place to go to."""
-    over_terrain = {"altitude_m": 30.0, "frame": 10}
-    found = read(
-        folder,
-        plan(
-            *(waypoint(), waypoint(altitude_m=460.0, frame=0)),
-            waypoint(**over_terrain, AMSLAltAboveTerrain=470.0),
-            waypoint(**over_terrain, AMSLAltAboveTerrain=None),
-            *(waypoint(0.03, altitude_m=80.0), item(21, 0, 0, 0, None, None, None, None)),
-        ),
-    )
-    assert found.altitudes_amsl_m == [450.0, 460.0, 470.0, 480.0]
-    assert [target["latitude_deg"] for target in found.targets] == [47.01] * 4 + [47.03]
-    assert (found.kind, found.end_action) == ("copter", "land")
-    assert found.speed_m_s == {"copter": 5.0, "plane": None}
-
-
-def test_what_is_not_done_at_a_waypoint_is_counted(folder: Path) -> None:
-    found = read(
-        folder,
-        plan(
-            *(item(22, 0, 0, 0, None, 47.4, 8.55, 30), item(16, 15, 0, 0, None, 47.41, 8.55, 50)),
-            *(item(16, 5, 0, 0, 90, 47.42, 8.55, 50), item(16, 0, 0, -20, None, 47.43, 8.55, 50)),
-            *(item(22, 0, 0, 0, None, 47.4, 8.55, 30), item(19, 60, 0, 30, None, 47.44, 8.55, 50)),
-            *(item(201, 0, 0, 0, 0, 47.4, 8.55, 0), SET_HOME),
-            waypoint(0.05, altitude_m=450.0, frame=0),
-        ),
-    )
-    assert found.notes == [
-        "left out: 2 x waiting at a waypoint, 1 x heading at a waypoint, "
-        "1 x passing beside a waypoint, 1 x nav takeoff, 1 x loiter at a waypoint, 1 x do set roi, "
-        "1 x do set home"
-    ]
-    assert read(folder, plan(waypoint())).notes == []
+def test_a_survey_is_its_waypoints_and_where_it_lands_and_says_what_is_not_done_there() -> None:
+    """Of other items: `test_mission_file`."""
     survey = read_plan(MISSIONS / "survey.plan", "MISSION")
-    assert (len(survey.targets), survey.end_action) == (6 + 1, "land")  # and where it lands
+    assert (len(survey.targets), survey.end_action) == (6 + 1, "land")
     assert survey.notes == ["left out: 6 x do set cam trigg dist"]
 
 
@@ -188,20 +151,10 @@ def test_as_threats_a_list_is_no_mission_and_need_not_be_one_that_can_be_flown(
 
 
 @pytest.mark.parametrize("name", PLANS)
-def test_a_plan_alone_is_a_mission_that_says_what_it_assumed(name: str, tmp_path: Path) -> None:
-    """Its targets lie as far from launch as on the ellipsoid; the run folder gets all of it."""
-    mission, content = load_mission(str(MISSIONS / name)), read_plan(MISSIONS / name, "MISSION")
+def test_a_plan_alone_is_a_mission(name: str, tmp_path: Path) -> None:
+    """The run folder gets all of it."""
+    mission = load_mission(str(MISSIONS / name))
     assert mission.name == name.removesuffix(".plan")
-    said = " ".join(mission.notes)
-    assert all(words in said for words in ("m/s", "AMSL", "terrain radar", "d_s = ", "map assumed"))
-    latitude, longitude = content.home_deg
-    for place, target in zip(mission.targets_ne_m, content.targets, strict=True):
-        azimuth_deg, _, distance_m = GEOD.inv(
-            longitude, latitude, target["longitude_deg"], target["latitude_deg"]
-        )
-        assert math.hypot(*place) == pytest.approx(distance_m, abs=1e-3)
-        east_of_north = math.atan2(place[1], place[0])
-        assert math.cos(east_of_north - math.radians(azimuth_deg)) > 1.0 - 1e-9
     text, alone = mission_text(str(MISSIONS / name)), tmp_path / "mission.toml"
     alone.write_text(text, encoding="utf-8")
     again, fields = load_mission(str(alone)), {*Mission.__slots__} - {"notes"}
@@ -209,57 +162,11 @@ def test_a_plan_alone_is_a_mission_that_says_what_it_assumed(name: str, tmp_path
     assert mission_text(str(alone)) == text
 
 
-@pytest.mark.parametrize(
-    ("vehicle_type", "turns_m", "angles_deg", "others"),
-    [
-        (2, (20.0, 0.0), (16.6, 16.6), (5.0, 1.5, 5.0, 2000.0, 30.0)),
-        (1, (115.0, 100.0), (7.0, 6.8), (15.0, 2.5, 15.0, 3000.0, 50.0)),
-    ],
-)
-def test_what_a_plan_lacks_is_assumed_as_the_page_of_files_says(
-    folder: Path, vehicle_type: int, turns_m: Any, angles_deg: Any, others: Any
-) -> None:
-    read(folder, plan(waypoint(), vehicleType=vehicle_type))
-    task = load_mission(str(folder / "x.plan")).task
-    limits, settings = task.limits, task.settings
-    assert (limits.turn_radius_m, limits.loiter_radius_m) == turns_m
-    angles = limits.climb_angle_rad, limits.dive_angle_rad
-    assert tuple(map(math.degrees, angles)) == pytest.approx(angles_deg)
-    assert others == (
-        *(limits.speed_m_s, limits.climb_rate_m_s, limits.tracking_error_m),
-        *(settings.scan_range_m, settings.safety_distance_m),
-    )
-
-
-OWN = """
-name = "mine"
-altitude = { floor_amsl_m = 600.0, ceiling_amsl_m = 700.0 }
-vehicle = { speed_m_s = 8.0 }
-planner = { safety_distance_m = 20.0 }
-end = { action = "land" }
-keep_outs = [{ name = "own", north_m = -1000.0, east_m = 0.0, radius_m = 50.0 }]
-"""
-
-
-def test_a_mission_overrides_what_is_assumed_of_its_plan(tmp_path: Path) -> None:
-    mission, alone = naming(tmp_path, FENCED, OWN), load_mission(str(MISSIONS / "fenced.plan"))
-    limits, settings = mission.task.limits, mission.task.settings
-    assert (mission.name, mission.end_action) == ("mine", EndAction.LAND)
-    assert (limits.floor_amsl_m, limits.speed_m_s) == (600.0, 8.0)
-    assert limits.turn_radius_m > alone.task.limits.turn_radius_m
-    assert settings.safety_distance_m == 20.0
-    assert mission.targets_ne_m == alone.targets_ne_m
-    names = {zone.name for zone in mission.task.zones}
-    assert names == {"own", *(zone.name for zone in alone.task.zones)}
-    assert not any("altitude" in note or "speed of the plan" in note for note in mission.notes)
-
-
-def test_targets_are_those_of_the_mission_or_of_its_plan(tmp_path: Path) -> None:
+def test_a_plan_may_be_of_zones_alone_beside_targets_of_the_mission(tmp_path: Path) -> None:
+    """What a mission says beside its plan: `test_mission_file`."""
+    zones = FENCED | {"mission": FENCED["mission"] | {"items": []}}
     own = "[[targets]]\nnorth_m = 1000.0\neast_m = 300.0\n"
-    assert "x.plan has waypoints too" in refusal(naming, tmp_path, FENCED, own)
-    fences = FENCED | {"mission": FENCED["mission"] | {"items": []}}
-    assert naming(tmp_path, fences, own).targets_ne_m == ((1000.0, 300.0),)
-    assert naming(tmp_path, fences, "from_vehicle.targets = true\n").targets_from_vehicle
+    assert naming(tmp_path, zones, own).targets_ne_m == ((1000.0, 300.0),)
 
 
 # --- without a terrain radar: flown at the plan's altitudes where they are safe, else it is said
@@ -330,33 +237,39 @@ def of_terrain(height_m: float, frame: int, mode: int | None = None, rows: int =
     return waypoint(rows * STEP_DEG, sent_m, frame, AltitudeMode=mode, Altitude=height_m)
 
 
-def above_terrain(folder: Path, text: str, rows: int = 8) -> Mission:
-    """At 600 m above launch, and by each way to say so at 500 m above terrain."""
+def by_each_frame(folder: Path, text: str, rows: int = 8) -> Mission:
+    """Above launch, AMSL, as the plan knows the ground, and by four ways 500 m above terrain."""
+    knows = waypoint(altitude_m=30.0, frame=10, AMSLAltAboveTerrain=970.0)
     ways = ((10, None), (11, None), (0, 3), (10, 4))
-    items = [of_terrain(500.0, *way, rows) for way in ways]
-    return naming(folder, plan(waypoint(altitude_m=600.0), *items), text)
+    lands = item(21, 0, 0, 0, None, None, None, None)  # where it is: no place to go to
+    items = waypoint(altitude_m=600.0), waypoint(altitude_m=960.0, frame=0), knows
+    above_terrain = (of_terrain(500.0, *way, rows) for way in ways)
+    return naming(folder, plan(*items, *above_terrain, lands), text)
 
 
-def test_above_terrain_is_above_the_highest_ground_about_it(folder: Path) -> None:
-    """As it is stated, or as a file has it."""
-    stated = above_terrain(folder, f"{BLIND}[terrain]\nhighest_amsl_m = 417.0\n")
-    assert stated.altitudes_amsl_m == (1000.0, *(917.0,) * 4)
-    text = f'{BLIND}[terrain]\nfile = "dem.tif"\nvertical_datum = "EGM96"\n'
-    _, *planned_m = above_terrain(folder, text).altitudes_amsl_m
-    [ground_m] = {height_m - 500.0 for height_m in planned_m if height_m is not None}
-    assert ground_m in HEIGHTS_M[90:93, 118:121]
-    assert ground_m >= HEIGHTS_M[91:93, 119:121].max()
-    beyond = refusal(above_terrain, folder, text, 120)
-    assert beyond.startswith("x.plan: mission.items[1]: altitude = 500.0: it is above terrain")
+STATED = f"{BLIND}[terrain]\nhighest_amsl_m = 417.0\n"
+OF_FILE = f'{BLIND}[terrain]\nfile = "dem.tif"\nvertical_datum = "EGM96"\n'
+
+
+def test_the_altitude_of_a_waypoint_is_known_by_its_frame(folder: Path) -> None:
+    """Above terrain it is above the highest ground about it, as that is stated or a file has it."""
+    stated = by_each_frame(folder, STATED)
+    assert stated.altitudes_amsl_m == (1000.0, 960.0, 970.0, *(917.0,) * 4)
+    assert stated.end_action is EndAction.LAND
+    *_, one, other, a_third, last = by_each_frame(folder, OF_FILE).altitudes_amsl_m
+    assert one == other == a_third == last
+    assert last - 500.0 in HEIGHTS_M[90:93, 118:121]
+    assert last - 500.0 >= HEIGHTS_M[91:93, 119:121].max()
 
 
 def test_above_ground_that_is_not_known_an_altitude_is_refused_or_that_is_said(
     folder: Path,
 ) -> None:
     """Without a radar it would be flown; with one every altitude of the band is as good."""
-    told = refusal(above_terrain, folder, BLIND)
-    assert told.startswith("x.plan: mission.items[1]: altitude = 500.0: it is above terrain")
-    found = above_terrain(folder, "")
+    for text, rows in ((BLIND, 8), (OF_FILE, 120)):
+        told = refusal(by_each_frame, folder, text, rows)
+        assert told.startswith("x.plan: mission.items[3]: altitude = 500.0: it is above terrain")
+    found = by_each_frame(folder, "")
     assert found.altitudes_amsl_m == ()
     assert found.task_to(1, found.task) is found.task
     assert any("4 x altitude above terrain" in note for note in found.notes)

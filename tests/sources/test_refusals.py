@@ -5,7 +5,6 @@ what is said of it.
 """
 
 import contextlib
-import copy
 import gzip
 import json
 import re
@@ -14,43 +13,37 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from documents import COPTER, DOCUMENTS, loaded, mission, refusal, replace_somewhere, written
+from documents import COPTER, DOCUMENTS, edited, loaded, mission, refusal, table_of, written
 from hypothesis import example, given
 from hypothesis import strategies as st
 
 from companion.config import load_mission, load_world, mission_text
 from companion.errors import InputError
 
-
-def read_table() -> dict[str, list[tuple[list[str], str]]]:
-    """Edits and line of each file, by the kind of the file."""
-    table: dict[str, list[tuple[list[str], str]]] = {}
-    for row in (Path(__file__).parent / "refusals.txt").read_text("utf-8").splitlines():
-        if row.startswith("# "):
-            of_kind = table.setdefault(row.removeprefix("# "), [])
-        else:
-            edits, said = row.split(" → ")
-            of_kind.append((edits.split(" ; "), said))
-    return table
+REFUSALS = table_of("refusals.txt")
 
 
-@pytest.mark.parametrize("kind", read_table())
+@pytest.mark.parametrize("kind", REFUSALS)
 def test_each_file_is_refused_with_its_line(folder: Path, kind: str) -> None:
-    for edits, said in read_table()[kind]:
+    for edits, said in REFUSALS[kind]:
         told = refusal(loaded, written(folder, kind, *edits)).replace(f"{folder}/", "")
         assert told == said
         assert re.fullmatch(r"\S[^\n]*? = [^\n]+: [^\n]+\. [A-Z][^\n]*[.?)]", told)
 
 
-def keys_in(table: dict[str, Any], *above: str) -> Iterator[tuple[str, Any]]:
-    """Every key, with the tables that it is in."""
-    for key, value in table.items():
-        yield ".".join([*above, key]), value
-        if isinstance(value, dict):
-            yield from keys_in(value, *above, key)
+def places_in(content: Any, above: str = "") -> Iterator[tuple[str, Any]]:
+    """Every key and item with its path, at any depth, and what is there."""
+    inside = content.items() if isinstance(content, dict) else enumerate(content)
+    for key, value in inside:
+        yield f"{above}{key}", value
+        if isinstance(value, dict | list):
+            yield from places_in(value, f"{above}{key}.")
 
 
-@pytest.mark.parametrize(("key", "value"), [*keys_in(COPTER)], ids=str)
+KEYS = [(place, value) for place, value in places_in(COPTER) if not place.startswith("targets.")]
+
+
+@pytest.mark.parametrize(("key", "value"), KEYS, ids=str)
 def test_a_key_that_is_left_out_misspelt_or_no_number_is_named(
     folder: Path, key: str, value: Any
 ) -> None:
@@ -119,6 +112,11 @@ def test_what_is_no_mission_and_no_world_is_told(folder: Path) -> None:
         assert re.search(words, refusal(load_mission, str(name)))
 
 
+NUMBERS = ["true", "0", "-1", "1e308", "1e-300", f"{2**62}", "9" * 400, "91.0", "16", "20", "177"]
+OTHERS = ["null", '""', '"x\\ny"', '"radar"', '"x.plan"', "[]", "{}", "[[]]", "[{}]"]
+JUNK = st.sampled_from([*NUMBERS, *OTHERS, "[8.0, 47.0]", '{"type": 1}'])
+
+
 @pytest.mark.parametrize(
     "kind", ["mission", "all of a mission", "plan", "list", "GeoJSON", "world"]
 )
@@ -126,10 +124,11 @@ def test_what_is_no_mission_and_no_world_is_told(folder: Path) -> None:
 def test_any_value_anywhere_is_taken_or_one_line(
     folder: Path, kind: str, data: st.DataObject
 ) -> None:
-    content = copy.deepcopy(DOCUMENTS[kind][1])
+    content = DOCUMENTS[kind][1]
     content = [line.split() for line in content] if kind == "list" else content
     for _ in range(data.draw(st.integers(1, 3))):
-        replace_somewhere(content, data)
+        place = data.draw(st.sampled_from([place for place, _ in places_in(content)]))
+        content = edited(content, f"{place} = {data.draw(JUNK)}")
     if kind == "list":
         content = [
             " ".join(map(str, row)) if isinstance(row, list) else str(row) for row in content
