@@ -11,7 +11,7 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from companion.campaign import bundled_campaigns
-from companion.campaign.store import Row, Store
+from companion.campaign.store import Facts, Row, Store
 from companion.errors import InputError
 from companion.extras import need
 from companion.runtime.processes import processors
@@ -80,7 +80,7 @@ def run_command(
     digest = hashlib.sha256("\n".join(map(repr, runs)).encode()).hexdigest()
     source = [campaign if campaign in bundled_campaigns() else str(Path(campaign).absolute())]
     source += [] if seeds is None else ["--seeds", str(seeds)]
-    store = Store(path, text=text, digest=digest, count=len(runs), source=source)
+    store = Store(path, text, Facts(digest=digest, runs=len(runs), source=source))
     todo = [run for run in runs if run.number not in store.done]
     if len(todo) < len(runs):
         console.print(f"{len(runs) - len(todo)} of {len(runs)} runs are there already")

@@ -8,7 +8,7 @@ import functools
 import hashlib
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, final
 
@@ -28,7 +28,6 @@ from companion.sources.files import RawTable, toml_text
 from companion.sources.mission_file import PlannerTable, VehicleTable
 from companion.sources.tables import OriginTable
 from companion.sources.zones import ZoneTable
-from companion.world.radars import Radar
 from companion.world.terrain import ArrayTerrain, GridTerrain, PeakTerrain, Terrain
 
 FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
@@ -107,22 +106,6 @@ def judgeable(terrain: Terrain, limits: Limits) -> Any:
     rows, columns = np.arange(south, north + step_m, step_m), np.arange(west, east + step_m, step_m)
     heights_m = terrain.height_m(rows[:, None], columns[None, :])
     return ArrayTerrain(heights_m=heights_m, spacing_m=step_m, south_m=south, west_m=west)
-
-
-def scaled(world: DrawnWorld, by: float) -> DrawnWorld:
-    """The same world at another size: lengths and speeds times a factor.  J stays what it is."""
-    return _scaled(world, by, "")
-
-
-def _scaled(value: Any, by: float, name: str) -> Any:
-    """A value with all that it holds; names say what a length or a speed is."""
-    if is_dataclass(value) and not isinstance(value, type):
-        parts = {field.name: getattr(value, field.name) for field in fields(value) if field.init}
-        return replace(value, **{name: _scaled(part, by, name) for name, part in parts.items()})
-    if isinstance(value, tuple):
-        return tuple(_scaled(item, by, name) for item in value)
-    is_length = isinstance(value, (float, np.ndarray)) and name.endswith(("_m", "_m_s", "_m_s2"))
-    return value * by if is_length else value
 
 
 # --- the proof that there is a way
@@ -226,9 +209,20 @@ def write(
 def tables_of(drawn: DrawnWorld, autopilot: AutopilotName) -> tuple[RawTable, RawTable]:
     """World and mission as their files have them."""
     head = {"schema": 1, "name": drawn.name, "origin": _keys(OriginTable, FRAME)}
-    radars = {"radars": [_radar(radar) for radar in drawn.task.radars]}
+    axes = ("north_m", "east_m", "altitude_amsl_m")
+    radars = [
+        {"name": radar.name, **dict(zip(axes, radar.centre_nea_m, strict=True)),
+         "range_m": radar.range_m}
+        for radar in drawn.task.radars
+    ]  # fmt: skip
     world, mission = _world_table(drawn, autopilot), _mission_table(drawn, autopilot)
-    return head | world | radars, head | mission | radars
+    return head | world | {"radars": radars}, head | mission | {"radars": radars}
+
+
+def _keys(table: type[BaseModel], of: Any) -> RawTable:
+    """Of a table of a file, what a value has under the same name."""
+    names = (name for name, key in table.model_fields.items() if key.alias is None)
+    return {name: getattr(of, name) for name in names if hasattr(of, name)}
 
 
 def _mission_table(drawn: DrawnWorld, autopilot: AutopilotName) -> RawTable:
@@ -256,34 +250,21 @@ def _mission_table(drawn: DrawnWorld, autopilot: AutopilotName) -> RawTable:
     }  # fmt: skip
 
 
-def _keys(table: type[BaseModel], of: Any) -> RawTable:
-    """Of a table of a file, what a value has under the same name."""
-    names = (name for name, key in table.model_fields.items() if key.alias is None)
-    return {name: getattr(of, name) for name in names if hasattr(of, name)}
-
-
-def _radar(radar: Radar) -> RawTable:
-    place = dict(zip(("north_m", "east_m", "altitude_amsl_m"), radar.centre_nea_m, strict=True))
-    return {"name": radar.name, **place, "range_m": radar.range_m}
-
-
 def _world_table(drawn: DrawnWorld, autopilot: AutopilotName) -> RawTable:
     """The truth, and a vehicle that can do what the mission asks of it."""
     terrain, limits = drawn.terrain, drawn.task.limits
     assert isinstance(terrain, PeakTerrain)  # as all families draw it
-    strategy, start, target = (
-        named(autopilot, limits.kind),
-        drawn.start_nea_m,
-        drawn.targets_ne_m[0],
-    )
+    strategy = named(autopilot, limits.kind)
+    (north_m, east_m, _), (to_north_m, to_east_m) = drawn.start_nea_m, drawn.targets_ne_m[0]
     ahead = 1.0 if limits.hovers else -1.0  # a plane climbs out where nothing stands: away from it
-    heading_rad = math.atan2(ahead * (target[1] - start[1]), ahead * (target[0] - start[0]))
+    heading_rad = math.atan2(ahead * (to_east_m - east_m), ahead * (to_north_m - north_m))
     vehicle = {
         "kind": limits.kind,
         "autopilot": "ideal" if (autopilot, limits.kind) == ("ardupilot", "copter") else autopilot,
-        "north_m": start[0],
-        "east_m": start[1],
+        "north_m": north_m,
+        "east_m": east_m,
         "heading_deg": math.degrees(heading_rad),
+        "parameters": {**strategy.firmware.lasting_battery, **strategy.parameters_for(limits)},
     }
     if limits.hovers:  # it can do more than is asked for, by about what the environments' can
         vehicle |= {
@@ -292,13 +273,12 @@ def _world_table(drawn: DrawnWorld, autopilot: AutopilotName) -> RawTable:
             "speed_vertical_max_m_s": 1.5 * limits.climb_rate_m_s,
             "acceleration_vertical_max_m_s2": max(2.5, limits.acceleration_m_s2),
         }
-    parameters = {**strategy.firmware.lasting_battery, **strategy.parameters_for(limits)}
     return {
         "terrain": {
             "combine": "maximum",
             "ground_amsl_m": terrain.ground_amsl_m,
             "peaks": [asdict(peak) for peak in terrain.peaks],
         },
-        "vehicle": {**vehicle, "parameters": parameters},
+        "vehicle": vehicle,
         "scanner": {"component_id": 100, "range_m": drawn.task.settings.scan_range_m},
     }

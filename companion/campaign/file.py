@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, NamedTuple, final
+from typing import Annotated, Any, Final, Literal, NamedTuple, TypeVar, final
 
 from pydantic import Field
 
@@ -41,22 +41,32 @@ _OF_PLANNERS: Final = ("planner", "knowledge")
 _LEAVE_OUT: Final = "Leave it out."
 _Count = Annotated[int, Field(ge=1, le=1_000_000)]
 _Seed = Annotated[int, Field(ge=0, le=2**31)]
-_Indices = Annotated[list[Annotated[int, Field(ge=0, le=10_000_000)]], Field(min_length=1)]
-_Budgets = Annotated[list[Annotated[int, Field(ge=60, le=200_000)]], Field(min_length=1)]
-_Names = Annotated[list[Name], Field(min_length=1)]
+_Value = TypeVar("_Value")
+_Some = Annotated[list[_Value], Field(min_length=1)]
+_Budget = Annotated[int, Field(ge=60, le=200_000)]
 
 
 class Place(NamedTuple):
-    """One world and its mission."""
+    """One world and its mission: the columns of a row that say what is flown."""
 
-    label: str
     world: str
     """A bundled name, a path, or the name of a drawn one."""
     mission: str | None = None
     family: str | None = None
     family_seed: int | None = None
     family_index: int | None = None
-    vehicle: str | None = None
+
+    @property
+    def name(self) -> str:
+        """Of its world: a file's is that of its folder."""
+        path = Path(self.world)
+        return path.parent.name or path.stem
+
+    @property
+    def label(self) -> str:
+        """In the keys of runs."""
+        drawn = f"{self.family}-{self.family_seed}/{self.family_index}"
+        return self.name if self.family is None else drawn
 
 
 class PlaceTable(Table):
@@ -70,7 +80,7 @@ class PlaceTable(Table):
     """Of the family: which worlds are drawn."""
     count: _Count = 1
     """The first so many of them."""
-    indices: _Indices | None = None
+    indices: _Some[Annotated[int, Field(ge=0, le=10_000_000)]] | None = None
     """These, in place of the first."""
     vehicle: Vehicle | None = None
     """The only one that flies there, where there is no factor `vehicle`."""
@@ -88,37 +98,31 @@ class PlaceTable(Table):
     def places(self, folder: Path) -> list[Place]:
         """One for each world; folder: what paths are relative to."""
         if self.family is not None:
-            family = f"{self.family}-{self.seed}"
-            return [
-                Place(
-                    f"{family}/{k}", f"{family}-{k}", None, self.family, self.seed, k, self.vehicle
-                )
-                for k in self.indices or range(self.count)
-            ]
-        label = world = mission = str(self.world)
+            drawn = f"{self.family}-{self.seed}"
+            indices = self.indices or range(self.count)
+            return [Place(f"{drawn}-{k}", None, self.family, self.seed, k) for k in indices]
+        world = mission = str(self.world)
         if world not in bundled():
             path = folder / world
             world, mission = str(path), str(path.with_name("mission.toml"))
-            label = path.parent.name or path.stem
         if self.mission is not None:
-            is_bundled = self.mission in bundled()
-            mission = self.mission if is_bundled else str(folder / self.mission)
-        return [Place(label, world, mission, vehicle=self.vehicle)]
+            mission = self.mission if self.mission in bundled() else str(folder / self.mission)
+        return [Place(world, mission)]
 
 
 class FactorsTable(Table):
     """What is combined, each with each; what is left out is as the mission has it."""
 
-    vehicle: Annotated[list[Vehicle], Field(min_length=1)] | None = None
-    profile: Annotated[list[Literal[tuple(PROFILES)]], Field(min_length=1)] | None = None  # type: ignore[valid-type]
-    optimiser: _Names | None = None
-    budget: _Budgets | None = None
-    planner: _Names | None = None
-    knowledge: Annotated[list[Knowledge], Field(min_length=1)] | None = None
-    sensor: _Names | None = None
-    faults: _Names | None = None
-    wind: _Names | None = None
-    noise: _Names | None = None
+    vehicle: _Some[Vehicle] | None = None
+    profile: _Some[Literal[tuple(PROFILES)]] | None = None  # type: ignore[valid-type]
+    optimiser: _Some[Name] | None = None
+    budget: _Some[_Budget] | None = None
+    planner: _Some[Name] | None = None
+    knowledge: _Some[Knowledge] | None = None
+    sensor: _Some[Name] | None = None
+    faults: _Some[Name] | None = None
+    wind: _Some[Name] | None = None
+    noise: _Some[Name] | None = None
 
 
 class FaultsTable(Table):
@@ -151,7 +155,7 @@ class CampaignTable(Table):
     first_seed: _Seed = 1
     limit_s: Positive = 7200.0
     """Of vehicle time: a flight that is longer is stopped."""
-    places: Annotated[list[PlaceTable], Field(min_length=1)]
+    places: _Some[PlaceTable]
     factors: FactorsTable = FactorsTable()
     faults: list[FaultsTable] = Field(default=[])
     choices: list[ChoiceTable] = Field(default=[])
@@ -230,7 +234,7 @@ def runs_of(campaign: CampaignTable, folder: Path) -> list[Run]:
     All seeds of a combination follow each other last, so that the first runs already show each
     combination once.
     """
-    places = [place for table in campaign.places for place in table.places(folder)]
+    places = [(place, each.vehicle) for each in campaign.places for place in each.places(folder)]
     factors: dict[str, list[Any]] = {name: values or [None] for name, values in campaign.factors}
     scripts = [
         FaultScript(family=table.family, seed=table.seed, index=index)
@@ -243,11 +247,11 @@ def runs_of(campaign: CampaignTable, folder: Path) -> list[Run]:
         rule = f"that makes more than {_MOST_RUNS:,} runs"
         raise InputError("seeds", campaign.seeds, rule, "Ask for fewer.")
     seeds, runs = range(campaign.first_seed, campaign.first_seed + campaign.seeds), list[Run]()
-    for seed, place, *values in itertools.product(seeds, places, *factors.values()):
+    for seed, (place, vehicle), *values in itertools.product(seeds, places, *factors.values()):
         given = {k: v for k, v in zip(factors, values, strict=True) if v is not None}
         script = given.get("faults")
         given |= {"faults": str(script)} if isinstance(script, FaultScript) else {}
-        given |= {"vehicle": place.vehicle} if place.vehicle is not None else {}
+        given |= {"vehicle": vehicle} if vehicle is not None else {}
         run = Run(
             number=len(runs),
             key="/".join([place.label, *map(str, given.values()), f"seed-{seed}"]),

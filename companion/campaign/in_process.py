@@ -8,7 +8,8 @@ import errno
 import functools
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from importlib.metadata import entry_points, version
 from pathlib import Path
@@ -38,7 +39,6 @@ class Vehicle(SimulatedVehicle, Protocol):
 
     def take_truth(self) -> list[str]:
         """Where it really was since the last call: lines of JSON, after a header."""
-        ...
 
 
 class Happening(Protocol):
@@ -56,15 +56,12 @@ class Simulator(Protocol):
 
     def vehicle(self, world: Path, *, seed: int, faults: str) -> Vehicle:
         """The vehicle of a world.toml, with a timeline of faults."""
-        ...
 
     def entries(self, text: str) -> Sequence[Happening]:
         """The lines of a timeline."""
-        ...
 
-    def ways(self) -> Sequence[tuple[int, str, str, str]]:
+    def ways(self) -> Iterable[tuple[int, str, str, str]]:
         """Ways in which faults are drawn: `drawn_faults.Way`."""
-        ...
 
 
 @functools.cache
@@ -103,16 +100,9 @@ class Flight:
     reported: FloatArray
     """Positions that the companion was told: when, of what time, north, east, altitude; (K, 5)."""
 
-
-def _vehicle(files: FlightFiles, seed: int) -> Vehicle:
-    return simulator().vehicle(files.world, seed=seed, faults=files.faults)
-
-
-def check(files: FlightFiles) -> None:
-    """Raises what is wrong with a mission, a world or faults."""
-    load_mission(str(files.mission))
-    simulator().entries(files.faults)
-    _vehicle(files, seed=0)
+    def entries(self, **like: str) -> list[dict[str, Any]]:
+        """The entries of its journal that have these values."""
+        return [e for e in self.journal if all(e.get(key) == like[key] for key in like)]
 
 
 @final
@@ -120,9 +110,10 @@ class Flying:
     """A vehicle and its companion in this process, in lockstep, flown on turn by turn."""
 
     def __init__(self, files: FlightFiles, *, seed: int, limit_s: float) -> None:
-        self._files, self._mission = files, load_mission(str(files.mission))
-        self._vehicle = _vehicle(files, seed)
-        self._seed, self._limit_s = seed, limit_s
+        """Raises what is wrong with a mission, a world or faults, before anything is written."""
+        self._mission = load_mission(str(files.mission))
+        self._vehicle = simulator().vehicle(files.world, seed=seed, faults=files.faults)
+        self._files, self._seed, self._limit_s = files, seed, limit_s
         self.flies = True
         """Whether its mission has not ended."""
         self._reported = list[tuple[float, ...]]()
@@ -206,15 +197,11 @@ def _lines_with(key: str, path: Path) -> list[dict[str, Any]]:
 
 def fly_here(files: FlightFiles, *, seed: int, limit_s: float) -> Flight:
     """Both in this process; a companion that is killed is resumed from its folder."""
-    flying = Flying(files, seed=seed, limit_s=limit_s)
-    try:
-        happening = sorted(simulator().entries(files.faults), key=lambda entry: entry.at_us)
-        for entry in happening:
+    with closing(Flying(files, seed=seed, limit_s=limit_s)) as flying:
+        for entry in sorted(simulator().entries(files.faults), key=lambda entry: entry.at_us):
             if entry.fault.name == _KILLED:
                 flying.fly_on(entry.at_us)
                 if flying.flies:
                     flying.die(1e-6 * (entry.until_us - entry.at_us))
         flying.fly_on(math.inf)
-    finally:
-        flying.close()
     return flying.flight()

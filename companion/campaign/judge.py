@@ -21,7 +21,7 @@ unless no command could reach it then: a copter that hears nothing hovers.
 import bisect
 import math
 from collections.abc import Container, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any, Final, final
 
@@ -33,7 +33,6 @@ from companion.campaign.in_process import Flight, Happening, simulator
 from companion.geodesy import BoolArray, FloatArray
 from companion.library import route_terms
 from companion.mission.state import Reason
-from companion.planner.settings import Task
 from companion.world.terrain import PeakTerrain
 from companion.world.zones import CircleZone
 
@@ -60,113 +59,308 @@ _NO_END: Final = {"outcome": "not ended", "reason": "the companion has not said 
 
 def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str, Any]:
     """The columns of a row.  timeline: what goes wrong in the flight; None: nothing does."""
-    columns, is_cut = _came_to(flight, drawn), False
-    done = simulator().entries(timeline) if timeline else []
-    if timeline is not None:
+    columns, with_faults, is_cut = _came_to(flight, drawn), timeline is not None, False
+    if with_faults:
         flight, is_cut = _until_stopped(flight)
-    track = _in_the_air(flight, drawn)
-    columns |= _of_flight(track, flight, drawn)
-    if timeline is None and not len(track.t_s):
+    case = _Case(flight, drawn, simulator().entries(timeline) if timeline else [])
+    columns |= case.flown()
+    if not with_faults and not len(case.t_s):
         return columns
+    excuses = case.excuses() if with_faults else {}
+    is_excused = np.any([np.zeros(len(case.t_s), dtype=bool), *excuses.values()], axis=0)
     known, excused = list[str](), list[str]()
-    excuses = {} if timeline is None else _excuses(flight, track, drawn, done)
-    is_excused = np.any([np.zeros(len(track.t_s), dtype=bool), *excuses.values()], axis=0)
-
-    def tell(what: str, at: int) -> None:
-        """Against the companion, or excused by what is so at a row of the track."""
+    for what, at in (*case.too_near(is_excused), *case.hits(but_landing=with_faults)):
         why = ", ".join(name for name, when in excuses.items() if when[at])
         (excused if why else known).append(f"{what} ({why})" if why else what)
-
-    for what, gap_m in _gaps_m(track, flight, drawn, done):
-        bad = gap_m < drawn.task.settings.safety_distance_m - _SLACK_M
-        for where in (bad & ~is_excused, bad & is_excused):
-            if where.any():
-                first = int(np.argmax(where))
-                tell(f"{what} {gap_m[where].min():.1f} m from {track.t_s[first]:.1f} s", first)
-    if hit := _hit(flight, track, but_landing=timeline is not None):
-        tell(*hit)
-    if timeline is not None:
-        ending, reason = _ending(flight, drawn, done, is_cut=is_cut)
+    if with_faults:
+        ending, reason = case.ending(is_cut=is_cut)
         if ending.startswith("unexplained"):
             known.append(f"{ending}: {reason}")
-        elif not done and ending not in _THERE:
+        elif not case.done and ending not in _THERE:
             known.append(f"{ending} with nothing wrong: {reason}")
         columns["ending"], columns["excused"] = ending, "; ".join(excused) or None
         columns["reason"] = None if ending == "arrived" else reason or None
     count = len(known)
     if flight.mission.near is None:
-        ready = _entries(flight, kind="plan ready")
-        subpaths = [(np.array(e["control_nea_m"]), e.get("speed_m_s")) for e in ready]
         # planned since then, in a wrong place or where the radar lied, one is right in shape only
-        since_s = track.t_s[np.argmax(is_excused)] if is_excused.any() else math.inf
-        before = sum(e["t_s"] < since_s for e in ready)
-        of_subpaths = checked(subpaths, drawn, bounds=_OF_SHAPE, whole=before)
+        since_s = case.t_s[np.argmax(is_excused)] if is_excused.any() else math.inf
+        ready = flight.entries(kind="plan ready")
+        of_subpaths = checked(
+            [(np.array(entry["control_nea_m"]), entry.get("speed_m_s")) for entry in ready],
+            drawn,
+            bounds=_OF_SHAPE,
+            whole=sum(entry["t_s"] < since_s for entry in ready),
+        )
         count += of_subpaths["violations"]
         known += filter(None, [of_subpaths["violated"]])
         columns = of_subpaths | columns
     return columns | {"violations": count, "violated": "; ".join(known) or None}
 
 
-def _entries(flight: Flight, **like: str) -> list[dict[str, Any]]:
-    """The entries of its journal that have these values."""
-    return [e for e in flight.journal if all(e.get(key) == like[key] for key in like)]
-
-
-def _first_s(entries: Sequence[dict[str, Any]], otherwise_s: float) -> float:
-    """When the first of some entries was written."""
-    return float(entries[0]["t_s"]) if entries else otherwise_s
-
-
 def _came_to(flight: Flight, drawn: DrawnWorld) -> dict[str, Any]:
-    """How it ended."""
-    end = [_NO_END, *_entries(flight, kind="end")][-1]
+    """How it ended, as the companion says."""
+    end = [_NO_END, *flight.entries(kind="end")][-1]
     arrived, codes = end["outcome"] == "arrived", ("TAKING_OVER", "TAKEN_OFF")
-    return of_task(flight.mission.task, drawn, flight.plans_s) | {
+    return of_task(drawn, flight.plans_s) | {
         "outcome": end["outcome"],
         "reason": None if arrived else end["reason"],
         "arrived": arrived,
         "plans": sum(e["kind"] in ("plan ready", "plan refused") for e in flight.journal),
-        "holds": sum(e["code"] not in codes for e in _entries(flight, phase="holding")),
+        "holds": sum(e["code"] not in codes for e in flight.entries(phase="holding")),
     }
 
 
 def _until_stopped(flight: Flight) -> tuple[Flight, bool]:
     """A flight without what followed when its time was over, and whether that was so."""
-    if not (stop := _entries(flight, kind="stop asked")):
+    if not (stop := flight.entries(kind="stop asked")):
         return flight, False
     rows = [row for row in flight.truth if row["t_s"] <= stop[0]["t_s"]]
     journal = flight.journal[: flight.journal.index(stop[0])]
     return replace(flight, journal=journal, truth=rows), True
 
 
-def _of_flight(track: "_Track", flight: Flight, drawn: DrawnWorld) -> dict[str, Any]:
-    """What was flown of subpaths: until it is told to land or is let go."""
-    over = [e for e in flight.journal if e.get("phase") in _OVER and e["t_s"] >= track.begun_s]
-    flown = (track.t_s >= track.begun_s) & (track.t_s <= _first_s(over, math.inf))
-    if flown.sum() < 2:
-        return {}
-    t_s, away_m = track.t_s[flown], track.away_m[flown]
-    columns = of_track(track.points_nea_m[flown], drawn) | {"flight_s": float(t_s[-1] - t_s[0])}
-    least = int(np.argmin(away_m))
-    if math.isfinite(away_m[least]):
-        columns["clearance_least_m"] = float(away_m[least])
-        columns["clearance_least_t_s"] = float(t_s[least])
-    return columns
+def _points(rows: Sequence[dict[str, Any]]) -> FloatArray:
+    """North, east, altitude of rows of truth; (N, 3)."""
+    keys = ("north_m", "east_m", "altitude_amsl_m")
+    return np.array([[row[key] for key in keys] for row in rows]).reshape(-1, 3)
+
+
+@final
+class _Case:
+    """A flight as it is judged: where the vehicle truly was in the air.
+
+    That is from when its mission first flew: N moments.  What is said to go wrong is in `done`.
+    """
+
+    def __init__(self, flight: Flight, drawn: DrawnWorld, done: Sequence[Happening]) -> None:
+        self.flight, self.drawn, self.done = flight, drawn, done
+        self.airborne_s = min((e["t_s"] for e in flight.entries(phase="flying")), default=math.inf)
+        self.begun_s = min((e["t_s"] for e in flight.entries(kind="leg")), default=-math.inf)
+        """When its first subpath was begun, by the journal; -inf: none was."""
+        terrain, task = drawn.terrain, drawn.task
+        ground_m = terrain.ground_amsl_m if isinstance(terrain, PeakTerrain) else -math.inf
+        rows = [
+            row
+            for row in flight.truth
+            if row["t_s"] >= self.airborne_s
+            and not row["landed"]
+            and row["altitude_amsl_m"] > ground_m
+        ]
+        self.t_s, self.points_nea_m = np.array([row["t_s"] for row in rows]), _points(rows)
+        self.lands = np.array([row["mode"] in LANDS | RETURNS for row in rows], bool)
+        """Whether it lands or returns by itself: the ground may be near then."""
+        self.has_a_say = self._has_a_say(rows)
+        """Whether the companion has a say."""
+        if flight.mission.near is not None or not rows:
+            away_m = np.array([row.get("near_m", math.inf) for row in rows])
+        else:
+            up_to_m = 2.0 * task.required_clearance_m
+            away_m = truth.terrain_distance_m(self.points_nea_m, terrain, up_to_m)
+        self.away_m = np.where(self.lands, np.inf, away_m)
+        """To the ground, or to the nearest of near things; infinite while it lands."""
+
+    def _has_a_say(self, rows: Sequence[dict[str, Any]]) -> BoolArray:
+        """Whether the mode is guided, or the one that the companion asked for last; (N,).
+
+        A mode that was taken away is not given back by the autopilot's own failsafe being over: the
+        companion has let go, and goes on only when it is told to (design 7).
+        """
+        asked = [(e["t_s"], e["mode"]) for e in self.flight.entries(kind="set mode")]
+        has_a_say, taken_s = [], -math.inf
+        for row in rows:
+            newest = bisect.bisect_right(asked, row["t_s"], key=lambda entry: entry[0]) - 1
+            asked_s, wanted = asked[newest] if newest >= 0 else (-math.inf, "")
+            obeyed = row["mode"] in _BY_ORDER.get(wanted, ()) and asked_s >= taken_s
+            has_a_say.append(row["mode"] in GUIDED or obeyed)
+            taken_s = taken_s if has_a_say[-1] else row["t_s"]
+        return np.array(has_a_say, dtype=bool)
+
+    def flown(self) -> dict[str, Any]:
+        """What was flown of subpaths: until it is told to land or is let go."""
+        over = (e["t_s"] for e in self.flight.journal if e.get("phase") in _OVER)
+        until_s = next((t_s for t_s in over if t_s >= self.begun_s), math.inf)
+        flown = (self.t_s >= self.begun_s) & (self.t_s <= until_s)
+        if flown.sum() < 2:
+            return {}
+        t_s, away_m = self.t_s[flown], self.away_m[flown]
+        columns = of_track(self.points_nea_m[flown], self.drawn)
+        columns |= {"flight_s": float(t_s[-1] - t_s[0])}
+        least = int(np.argmin(away_m))
+        if math.isfinite(away_m[least]):
+            columns["clearance_least_m"] = float(away_m[least])
+            columns["clearance_least_t_s"] = float(t_s[least])
+        return columns
+
+    # what the companion could not know or had no say in
+
+    def excuses(self) -> dict[str, BoolArray]:
+        """Why something does not count against it, and when; (N,) each."""
+        known = dict[str, BoolArray]()
+        for entry in self.done:
+            row = entry.fault.known
+            if row.excuse and entry.sets.get(row.excuse_needs, True):
+                since = self.t_s >= entry.at_us / 1e6
+                known[row.excuse] = since | known.get(row.excuse, since)
+        is_off = self._off_m() > self.drawn.task.limits.navigation_error_m
+        return {
+            "the position was wrong": self._lately(is_off),
+            "somebody else flew": self._lately(~self.has_a_say),
+            **dict(sorted(known.items())),
+        }
+
+    def _lately(self, is_so: BoolArray) -> BoolArray:
+        """When something is so, or was less than the grace ago; (N,)."""
+        last_s = np.maximum.accumulate(np.where(is_so, self.t_s, -math.inf))
+        return np.asarray(self.t_s - last_s < _GRACE_S)
+
+    def _off_m(self) -> FloatArray:
+        """How far the position that was told last lay off the truth of its own time; (N,)."""
+        if not len(self.flight.reported):
+            return np.zeros(len(self.t_s))
+        told_s, of_s, *reported = self.flight.reported.T
+        times = [row["t_s"] for row in self.flight.truth]
+        true = [np.interp(of_s, times, values) for values in _points(self.flight.truth).T]
+        newest = np.searchsorted(told_s, self.t_s, side="right") - 1
+        return np.linalg.norm(np.subtract(reported, true), axis=0)[np.maximum(newest, 0)]
+
+    # what it came too near to: what, and at which moment
+
+    def too_near(self, is_excused: BoolArray) -> Iterator[tuple[str, int]]:
+        """What lay nearer than d_s, once of what counts and once of what is excused."""
+        for what, gap_m in self._gaps_m():
+            bad = gap_m < self.drawn.task.settings.safety_distance_m - _SLACK_M
+            for where in (bad & ~is_excused, bad & is_excused):
+                if where.any():
+                    at = int(np.argmax(where))
+                    yield f"{what} {gap_m[where].min():.1f} m from {self.t_s[at]:.1f} s", at
+
+    def _gaps_m(self) -> Iterator[tuple[str, FloatArray]]:
+        """True distances that must be d_s or more, (N,); infinite where they do not count."""
+        if self.flight.mission.near is not None or not len(self.t_s):
+            return
+        # before that it climbs out from where it stood, also when it goes on after a hold meanwhile
+        yield "terrain", np.where(self.t_s < self.begun_s, np.inf, self.away_m)
+        for zone in self.drawn.task.zones:
+            gap_m = truth.keep_out_distance_m(self.points_nea_m, zone)
+            yield zone.name, -gap_m if zone.keep_in else gap_m
+        for at_s, row, sets in self._brought("fence"):
+            velocity_m_s = np.array([row["velocity_north_m_s"], row["velocity_east_m_s"]])
+            ahead_s = sets["ahead_m"] / max(math.hypot(*velocity_m_s), 1e-6)
+            n, e = ahead_s * velocity_m_s + (row["north_m"], row["east_m"])
+            fence = CircleZone(name="new fence", north_m=n, east_m=e, radius_m=sets["radius_m"])
+            gap_m = truth.keep_out_distance_m(self.points_nea_m, fence)
+            counts = self._could_leave(gap_m, at_s + _KNOWN_AFTER_S)
+            yield fence.name, np.where(counts, gap_m, np.inf)
+
+    def _brought(self, what: str) -> Iterator[tuple[float, dict[str, Any], Mapping[str, Any]]]:
+        """When a ground station told of one more, the truth then, and what its line sets."""
+        for entry in self.done:
+            at_s = entry.at_us / 1e6
+            row = next((row for row in self.flight.truth if row["t_s"] >= at_s - 1e-3), None)
+            if entry.fault.known.brings == what and row is not None:
+                yield at_s, row, entry.sets
+
+    def _could_leave(self, gap_m: FloatArray, known_s: float) -> BoolArray:
+        """Whether a new fence that is known has been left once, or could have been; (N,).
+
+        For so long as the companion has a say: the grace, a turn of a plane, which sets out where
+        its circle points along its way, then at half the speed.  On its circle a plane comes out of
+        a fence and into it again: it has not left it so.
+        """
+        known, limits = self.t_s >= known_s, self.drawn.task.limits
+        if not known.any():
+            return known
+        safety_m = self.drawn.task.settings.safety_distance_m
+        depth_m = max(safety_m - float(gap_m[known][0]), 0.0)
+        takes_s = _GRACE_S + (math.tau * limits.loiter_radius_m + 2.0 * depth_m) / limits.speed_m_s
+        passed_s = np.diff(self.t_s, prepend=self.t_s[:1])
+        led_s = np.cumsum(np.where(known & self.has_a_say, passed_s, 0.0))
+        is_out = known & (gap_m >= safety_m) & limits.hovers
+        return known & ((led_s >= takes_s) | np.maximum.accumulate(is_out))
+
+    def hits(self, *, but_landing: bool) -> Iterator[tuple[str, int]]:
+        """The first touch of a near thing, else the first crash, at the moment before.
+
+        A crash is a contact that nobody survives, as the simulator judged it.
+        """
+        touches = self.away_m <= 0.0
+        crash = next((row["crash"] for row in self.flight.truth if "crash" in row), None)
+        if self.flight.mission.near is not None and touches.any():
+            first = int(np.argmax(touches))
+            yield f"touched something at {self.t_s[first]:.1f} s", first
+        elif crash is not None:
+            last = int(np.searchsorted(self.t_s, crash["t_s"])) - 1
+            if not (but_landing and (last < 0 or self.lands[last])):
+                how = f"{crash['speed_m_s']:.1f} m/s, {crash['t_s']:.1f} s"
+                yield f"hit {crash['into']} at {how}", last
+
+    # how it ended
+
+    def ending(self, *, is_cut: bool) -> tuple[str, str]:
+        """How it ended, and the reason in words.  is_cut: its time was over."""
+        end = next(iter(self.flight.entries(kind="end")), None)
+        if end is None and not is_cut:
+            return "unexplained: no end", "the journal has none"
+        phases = [e for e in self.flight.entries(kind="phase") if e["phase"] != "done"]
+        phase, reason = (phases[-1]["phase"], phases[-1].get("reason")) if phases else ("", None)
+        reason = (end["reason"] if end else None) or reason or ""
+        if all(row["landed"] for row in self.flight.truth):
+            return ("refused", reason) if reason else ("unexplained: never flew", phase)
+        last, limits = self.flight.truth[-1], self.drawn.task.limits
+        mode = last["mode"]
+        if end is not None and end["outcome"] == "arrived":
+            if (miss_m := self._miss_m()) > _ARRIVED_M + 1.3 * limits.loiter_radius_m:
+                return "unexplained: arrived elsewhere", f"{miss_m:.0f} m off"
+            held = any(e["phase"] == "holding" and e["t_s"] > self.airborne_s for e in phases)
+            return ("held and resumed" if held else "arrived"), reason
+        if is_cut and phase not in ("holding", "landing"):
+            return "unexplained: flies on", f"{phase}: {reason}"
+        if not reason:
+            return "unexplained: no reason", f"{phase}, {mode}"
+        disarmed = reason == Reason.DISARMED.text  # in the last tick: no truth came after it
+        if last["landed"] or not last["armed"] or disarmed:
+            may_fall = any(entry.fault.known.may_fall for entry in self.done)
+            return ("fell" if may_fall else "landed"), reason
+        if mode in LANDS | RETURNS:
+            return ("landed" if mode in LANDS else "returned"), reason
+        if any(text in reason for text in _LET_GO) or mode not in GUIDED | HOLDS:
+            return "let go", reason
+        # when no command could have reached the autopilot, or nobody was there to send one
+        end_us = 1e6 * end["t_s"] if end else math.inf
+        out_of_reach = any(
+            entry.at_us <= end_us < (math.inf if entry.fault.once else entry.until_us)
+            for entry in self.done
+            if entry.fault.known.out_of_reach
+        )
+        held = mode in HOLDS or is_cut or out_of_reach or not limits.hovers
+        return ("held for good" if held else "unexplained: left in guided mode"), reason
+
+    def _miss_m(self) -> float:
+        """Where it was told to be in the end, beside the target."""
+        targets = [self.flight.mission.targets_ne_m[-1]]
+        for _, row, sets in self._brought("target"):  # which it may have refused, in words
+            north_m, east_m, _ = sets["by_m"]
+            targets.append((row["north_m"] + north_m, row["east_m"] + east_m))
+        reported = self.flight.reported
+        if not len(reported):
+            return math.inf
+        return min(math.dist(reported[-1, 2:4], target) for target in targets)
 
 
 # --- what was planned, and what was flown
 
 
-def of_task(task: Task, drawn: DrawnWorld, plans_s: Sequence[float]) -> dict[str, Any]:
+def of_task(drawn: DrawnWorld, plans_s: Sequence[float]) -> dict[str, Any]:
     """What was to be flown, and how long its plans took."""
-    settings, places = task.settings, [drawn.start_nea_m[:2], *drawn.targets_ne_m]
+    settings, places = drawn.task.settings, [drawn.start_nea_m[:2], *drawn.targets_ne_m]
+    plan_ms = 1e3 * np.array(plans_s)
     return {
         "profile": settings.profile.name,
         "optimiser": settings.optimiser or settings.profile.optimiser,
         "budget": settings.evaluations,
         "straight_m": sum(math.dist(a, b) for a, b in pairwise(places)),
-        "plan_ms_median": 1e3 * float(np.median(plans_s)) if len(plans_s) else None,
-        "plan_ms_p99": 1e3 * float(np.quantile(plans_s, 0.99)) if len(plans_s) else None,
+        "plan_ms_median": float(np.median(plan_ms)) if plans_s else None,
+        "plan_ms_p99": float(np.quantile(plan_ms, 0.99)) if plans_s else None,
     }
 
 
@@ -214,239 +408,3 @@ def checked(
         "violated": "; ".join(violated) or None,
         "clearance_least_m": least_m if subpaths else None,
     }
-
-
-# --- a flight as arrays
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Track:
-    """Where the vehicle truly was in the air, from when its mission first flew; N moments."""
-
-    t_s: FloatArray
-    points_nea_m: FloatArray
-    lands: BoolArray
-    """Whether it lands or returns by itself: the ground may be near then."""
-    has_a_say: BoolArray
-    """Whether the companion has a say."""
-    away_m: FloatArray
-    """To the ground, or to the nearest of near things; infinite while it lands."""
-    begun_s: float
-    """When its first subpath was begun, by the journal; -inf: none was."""
-
-
-def _in_the_air(flight: Flight, drawn: DrawnWorld) -> _Track:
-    terrain, airborne_s = drawn.terrain, _airborne_s(flight)
-    ground_m = terrain.ground_amsl_m if isinstance(terrain, PeakTerrain) else -math.inf
-    rows = [
-        row
-        for row in flight.truth
-        if row["t_s"] >= airborne_s and not row["landed"] and row["altitude_amsl_m"] > ground_m
-    ]
-    points, lands = _points(rows), np.array([row["mode"] in LANDS | RETURNS for row in rows], bool)
-    if flight.mission.near is not None or not rows:
-        away_m = np.array([row.get("near_m", math.inf) for row in rows])
-    else:
-        away_m = truth.terrain_distance_m(points, terrain, 2.0 * drawn.task.required_clearance_m)
-    return _Track(
-        t_s=np.array([row["t_s"] for row in rows]),
-        points_nea_m=points,
-        lands=lands,
-        has_a_say=_has_a_say(rows, flight),
-        away_m=np.where(lands, np.inf, away_m),
-        begun_s=_first_s(_entries(flight, kind="leg"), -math.inf),
-    )
-
-
-def _points(rows: Sequence[dict[str, Any]]) -> FloatArray:
-    """North, east, altitude of rows of truth; (N, 3)."""
-    keys = ("north_m", "east_m", "altitude_amsl_m")
-    return np.array([[row[key] for key in keys] for row in rows]).reshape(-1, 3)
-
-
-def _airborne_s(flight: Flight) -> float:
-    return _first_s(_entries(flight, phase="flying"), math.inf)
-
-
-def _has_a_say(rows: Sequence[dict[str, Any]], flight: Flight) -> BoolArray:
-    """Whether the companion has a say: the mode is guided, or the one that it asked for last; (N,).
-
-    A mode that was taken away is not given back by the autopilot's own failsafe being over: the
-    companion has let go, and goes on only when it is told to (design 7).
-    """
-    asked = [(-math.inf, ""), *((e["t_s"], e["mode"]) for e in _entries(flight, kind="set mode"))]
-    has_a_say, taken_s = [], -math.inf
-    for row in rows:
-        newest = bisect.bisect_right(asked, row["t_s"], key=lambda entry: entry[0]) - 1
-        asked_s, wanted = asked[newest]
-        obeyed = row["mode"] in _BY_ORDER.get(wanted, ()) and asked_s >= taken_s
-        has_a_say.append(row["mode"] in GUIDED or obeyed)
-        taken_s = taken_s if has_a_say[-1] else row["t_s"]
-    return np.array(has_a_say, dtype=bool)
-
-
-# --- what the companion could not know or had no say in
-
-
-def _excuses(
-    flight: Flight, track: _Track, drawn: DrawnWorld, done: Sequence[Happening]
-) -> dict[str, BoolArray]:
-    """Why something does not count against it, and when; (N,) each."""
-    t_s, known = track.t_s, dict[str, BoolArray]()
-    for entry in done:
-        row = entry.fault.known
-        if row.excuse and entry.sets.get(row.excuse_needs, True):
-            since = t_s >= entry.at_us / 1e6
-            known[row.excuse] = since | known.get(row.excuse, since)
-    is_off = _off_m(flight, t_s) > drawn.task.limits.navigation_error_m
-    return {
-        "the position was wrong": _lately(t_s, is_off),
-        "somebody else flew": _lately(t_s, ~track.has_a_say),
-        **dict(sorted(known.items())),
-    }
-
-
-def _lately(t_s: FloatArray, is_so: BoolArray) -> BoolArray:
-    """When something is so, or was less than the grace ago; (N,)."""
-    last_s = np.maximum.accumulate(np.where(is_so, t_s, -math.inf))
-    return np.asarray(t_s - last_s < _GRACE_S)
-
-
-def _off_m(flight: Flight, t_s: FloatArray) -> FloatArray:
-    """How far the position that was told last lay off the truth of its own time; (N,)."""
-    if not len(flight.reported):
-        return np.zeros(len(t_s))
-    told_s, of_s, *reported = flight.reported.T
-    times = [row["t_s"] for row in flight.truth]
-    true = [np.interp(of_s, times, values) for values in _points(flight.truth).T]
-    newest = np.searchsorted(told_s, t_s, side="right") - 1
-    return np.linalg.norm(np.subtract(reported, true), axis=0)[np.maximum(newest, 0)]
-
-
-# --- too near
-
-
-def _gaps_m(
-    track: _Track, flight: Flight, drawn: DrawnWorld, done: Sequence[Happening]
-) -> Iterator[tuple[str, FloatArray]]:
-    """True distances that must be d_s or more, (N,); infinite where they do not count."""
-    if flight.mission.near is not None or not len(track.t_s):
-        return
-    # before that it climbs out from where it stood, also when it goes on after a hold meanwhile
-    yield "terrain", np.where(track.t_s < track.begun_s, np.inf, track.away_m)
-    for zone in drawn.task.zones:
-        gap_m = truth.keep_out_distance_m(track.points_nea_m, zone)
-        yield zone.name, -gap_m if zone.keep_in else gap_m
-    for at_s, row, sets in _brought("fence", flight, done):
-        velocity_m_s = np.array([row["velocity_north_m_s"], row["velocity_east_m_s"]])
-        ahead_s = sets["ahead_m"] / max(math.hypot(*velocity_m_s), 1e-6)
-        n, e = ahead_s * velocity_m_s + (row["north_m"], row["east_m"])
-        fence = CircleZone(name="new fence", north_m=n, east_m=e, radius_m=sets["radius_m"])
-        gap_m = truth.keep_out_distance_m(track.points_nea_m, fence)
-        counts = _could_leave(gap_m, track, at_s + _KNOWN_AFTER_S, drawn)
-        yield fence.name, np.where(counts, gap_m, np.inf)
-
-
-def _brought(
-    what: str, flight: Flight, done: Sequence[Happening]
-) -> Iterator[tuple[float, dict[str, Any], Mapping[str, Any]]]:
-    """When a ground station told of one more, the truth then, and what its line sets."""
-    for entry in done:
-        at_s = entry.at_us / 1e6
-        row = next((row for row in flight.truth if row["t_s"] >= at_s - 1e-3), None)
-        if entry.fault.known.brings == what and row is not None:
-            yield at_s, row, entry.sets
-
-
-def _could_leave(gap_m: FloatArray, track: _Track, known_s: float, drawn: DrawnWorld) -> BoolArray:
-    """Whether a new fence that is known has been left once, or could have been; (N,).
-
-    For so long as the companion has a say: the grace, a turn of a plane, which sets out where its
-    circle points along its way, then at half the speed.  On its circle a plane comes out of a fence
-    and into it again: it has not left it so.
-    """
-    known, limits = track.t_s >= known_s, drawn.task.limits
-    if not known.any():
-        return known
-    depth_m = max(drawn.task.settings.safety_distance_m - float(gap_m[known][0]), 0.0)
-    takes_s = _GRACE_S + (math.tau * limits.loiter_radius_m + 2.0 * depth_m) / limits.speed_m_s
-    passed_s = np.diff(track.t_s, prepend=track.t_s[:1])
-    led_s = np.cumsum(np.where(known & track.has_a_say, passed_s, 0.0))
-    is_out = known & (gap_m >= drawn.task.settings.safety_distance_m) & limits.hovers
-    return known & ((led_s >= takes_s) | np.maximum.accumulate(is_out))
-
-
-def _hit(flight: Flight, track: _Track, *, but_landing: bool) -> tuple[str, int] | None:
-    """The first touch of a near thing, else the first crash: what, and the row of the track before.
-
-    A crash is a contact that nobody survives, as the simulator judged it.
-    """
-    touches = track.away_m <= 0.0
-    if flight.mission.near is not None and touches.any():
-        first = int(np.argmax(touches))
-        return f"touched something at {track.t_s[first]:.1f} s", first
-    crash = next((row["crash"] for row in flight.truth if "crash" in row), None)
-    if crash is None:
-        return None
-    last = int(np.searchsorted(track.t_s, crash["t_s"])) - 1
-    if but_landing and (last < 0 or track.lands[last]):
-        return None
-    return f"hit {crash['into']} at {crash['speed_m_s']:.1f} m/s, {crash['t_s']:.1f} s", last
-
-
-# --- endings
-
-
-def _ending(
-    flight: Flight, drawn: DrawnWorld, done: Sequence[Happening], *, is_cut: bool
-) -> tuple[str, str]:
-    """How it ended, and the reason in words."""
-    end = next(iter(_entries(flight, kind="end")), None)
-    if end is None and not is_cut:
-        return "unexplained: no end", "the journal has none"
-    phases = [e for e in _entries(flight, kind="phase") if e["phase"] != "done"]
-    phase, reason = (phases[-1]["phase"], phases[-1].get("reason")) if phases else ("", None)
-    reason = (end["reason"] if end else None) or reason or ""
-    if all(row["landed"] for row in flight.truth):
-        return ("refused", reason) if reason else ("unexplained: never flew", phase)
-    last, mode = flight.truth[-1], flight.truth[-1]["mode"]
-    if end is not None and end["outcome"] == "arrived":
-        circle_m = drawn.task.limits.loiter_radius_m
-        if (miss_m := _miss_m(flight, done)) > _ARRIVED_M + 1.3 * circle_m:
-            return "unexplained: arrived elsewhere", f"{miss_m:.0f} m off"
-        airborne_s = _airborne_s(flight)
-        held = any(e["phase"] == "holding" and e["t_s"] > airborne_s for e in phases)
-        return ("held and resumed" if held else "arrived"), reason
-    if is_cut and phase not in ("holding", "landing"):
-        return "unexplained: flies on", f"{phase}: {reason}"
-    if not reason:
-        return "unexplained: no reason", f"{phase}, {mode}"
-    disarmed = reason == Reason.DISARMED.text  # in the last tick: no truth came after it
-    if last["landed"] or not last["armed"] or disarmed:
-        may_fall = any(entry.fault.known.may_fall for entry in done)
-        return ("fell" if may_fall else "landed"), reason
-    if mode in LANDS | RETURNS:
-        return ("landed" if mode in LANDS else "returned"), reason
-    if any(text in reason for text in _LET_GO) or mode not in GUIDED | HOLDS:
-        return "let go", reason
-    # when no command could have reached the autopilot, or nobody was there to send one
-    end_us = 1e6 * end["t_s"] if end else math.inf
-    out_of_reach = any(
-        entry.at_us <= end_us < (math.inf if entry.fault.once else entry.until_us)
-        for entry in done
-        if entry.fault.known.out_of_reach
-    )
-    held = mode in HOLDS or is_cut or out_of_reach or not drawn.task.limits.hovers
-    return ("held for good" if held else "unexplained: left in guided mode"), reason
-
-
-def _miss_m(flight: Flight, done: Sequence[Happening]) -> float:
-    """Where it was told to be in the end, beside the target."""
-    targets = [flight.mission.targets_ne_m[-1]]
-    for _, row, sets in _brought("target", flight, done):  # which it may have refused, in words
-        north_m, east_m, _ = sets["by_m"]
-        targets.append((row["north_m"] + north_m, row["east_m"] + east_m))
-    if not len(flight.reported):
-        return math.inf
-    return min(math.dist(flight.reported[-1, 2:4], target) for target in targets)

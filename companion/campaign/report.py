@@ -1,7 +1,7 @@
 """What a campaign came to, as tables for a page and for the terminal, and as CSV."""
 
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -21,7 +21,7 @@ from companion.campaign.statistics import (
     pairs,
     varying,
 )
-from companion.campaign.store import Row, facts_of, read_rows
+from companion.campaign.store import Facts, Row, facts_of, read_rows
 from companion.errors import InputError
 
 _MOST_VALUES: Final = 24
@@ -36,15 +36,12 @@ _PAIRS_HEAD: Final = (
 
 
 class Campaign(NamedTuple):
-    """The rows of a campaign as far as it has come."""
+    """A campaign as far as it has come."""
 
     folder: Path
     rows: pl.DataFrame
     """By their numbers; `store.COLUMNS`."""
-    expected: int | None
-    """Runs that it has in all; None: that is not known."""
-    source: tuple[str, ...]
-    """What the command is asked for to fly one of these runs again."""
+    facts: Facts
 
 
 class Sheet(NamedTuple):
@@ -70,18 +67,11 @@ class Report(NamedTuple):
 
 def read_campaign(folder: Path) -> Campaign:
     """The data set of a campaign.  Raises InputError."""
-    rows, facts = read_rows("FOLDER", folder), facts_of(folder)
-    expected, source = facts.get("runs"), facts.get("source")
-    named = source if isinstance(source, list) and source else [folder / "campaign.toml"]
-    if rows.is_empty() and expected is None:
+    campaign = Campaign(folder, read_rows("FOLDER", folder), facts_of(folder))
+    if campaign.rows.is_empty() and campaign.facts.runs is None:
         remedy = "Give the folder that companion campaign has written."
         raise InputError("FOLDER", str(folder), "it holds no campaign", remedy)
-    return Campaign(
-        folder=folder,
-        rows=rows,
-        expected=expected if isinstance(expected, int) else None,
-        source=tuple(map(str, named)),
-    )
+    return campaign
 
 
 def report_of(campaign: Campaign, by: Sequence[str] = ()) -> Report:
@@ -111,12 +101,12 @@ def report_of(campaign: Campaign, by: Sequence[str] = ()) -> Report:
 
 
 def _notes(campaign: Campaign) -> list[str]:
-    rows = campaign.rows
-    missing = max((campaign.expected or 0) - len(rows), 0)
+    rows, runs = campaign.rows, campaign.facts.runs or 0
+    missing = max(runs - len(rows), 0)
     errors, unchecked = rows["error"].count(), rows["violations"].null_count()
     versions = rows["version"].unique().sort().to_list()
     warnings = {
-        f"Not finished: {missing:,} of {campaign.expected or 0:,} runs have no row yet. What is "
+        f"Not finished: {missing:,} of {runs:,} runs have no row yet. What is "
         "missing may differ from what is here; the command that began it goes on.": missing,
         f"{len(rows)} runs are few: intervals by bootstrap are then too narrow.": (
             0 < len(rows) < _FEW
@@ -133,15 +123,12 @@ def _notes(campaign: Campaign) -> list[str]:
 
 def _of_groups(figures: Sequence[Figure]) -> Sheet:
     """One row for each group, with all its measures."""
+    of = {(figure.group, figure.measure.name): figure for figure in figures}
     shown = [measure for measure in MEASURES if any(f.measure is measure for f in figures)]
-    table = dict[str, dict[str, Figure]]()
-    for figure in figures:
-        table.setdefault(figure.group, {})[figure.measure.name] = figure
     rows = []
-    for group, by_measure in table.items():
-        count = by_measure["arrived"].n  # every run has one
-        cells = [_cell(by_measure.get(measure.name), count) for measure in shown]
-        rows.append((group, f"{count:,}", *cells))
+    for group in dict.fromkeys(figure.group for figure in figures):
+        count = of[group, "arrived"].n  # every run has one
+        rows.append((group, f"{count:,}", *(_cell(of.get((group, m.name)), count) for m in shown)))
     by = figures[0].by if figures else ""
     title = f"By {by}" if by else "All runs" if rows else "No run has a row yet"
     units = (f"{measure.words}{measure.unit and ', '}{measure.unit}" for measure in shown)
@@ -184,50 +171,49 @@ def _of_pairs(figures: Sequence[Figure], notes: Sequence[str]) -> Sheet:
 
 def _worst(campaign: Campaign) -> list[Sheet]:
     """The worst runs of each kind, the worst first; no kind of which there is none."""
-    rows, error = campaign.rows, pl.col("error")
-    median = pl.col("cost").median().over(TASK)
-    dear = rows.filter(pl.col("arrived"), pl.col("cost") > 0.0)
-    dear = dear.with_columns(ratio=pl.col("cost") / median, runs=pl.len().over(TASK))
-    why = rows.filter(~pl.col("arrived"), error.is_null())
-    why = why.with_columns(runs=pl.len().over("outcome", "reason")).unique(
-        ["outcome", "reason"], keep="first", maintain_order=True
-    )
-    worst: dict[str, tuple[pl.DataFrame, Callable[[Row], str]]] = {
+    rows, cost, why = campaign.rows, pl.col("cost"), ("outcome", "reason")
+    failed = rows.filter(~pl.col("arrived"), pl.col("error").is_null())
+    failed = failed.with_columns(runs=pl.len().over(why))
+    arrived = rows.filter(pl.col("arrived"), cost > 0.0)
+    arrived = arrived.with_columns(ratio=cost / cost.median().over(TASK), runs=pl.len().over(TASK))
+    nearest, at_s = pl.col("clearance_least_m"), pl.col("clearance_least_t_s")
+    reason = pl.col("reason").fill_null("no reason given")
+    # of each kind: the runs, how bad they are, and what is said of one
+    worst: dict[str, tuple[pl.DataFrame, pl.Expr, pl.Expr]] = {
         "Violations": (
-            rows.filter(pl.col("violations") > 0).sort(-pl.col("violations"), maintain_order=True),
-            lambda row: f"{row['violations']}: {row['violated'] or 'not said which'}",
+            rows.filter(pl.col("violations") > 0),
+            pl.col("violations"),
+            pl.format("{}: {}", "violations", pl.col("violated").fill_null("not said which")),
         ),
-        "Errors": (rows.filter(error.is_not_null()), lambda row: str(row["error"])),
+        "Errors": (rows.drop_nulls("error"), -pl.col("run"), pl.col("error")),
         "Not arrived": (
-            why.sort("runs", descending=True, maintain_order=True),
-            lambda row: (
-                f"{row['outcome']}: {row['reason'] or 'no reason given'} ({row['runs']:,} runs)"
-            ),
+            failed.unique(why, keep="first", maintain_order=True),
+            pl.col("runs"),
+            pl.format("{}: {} ({} runs)", "outcome", reason, "runs"),
         ),
         "Dearest": (
-            dear.filter(pl.col("runs") > 1).sort("ratio", descending=True, maintain_order=True),
-            lambda row: f"{row['ratio']:.3f} times the median of {row['runs']} runs",
+            arrived.filter(pl.col("runs") > 1),
+            pl.col("ratio"),
+            pl.format("{} times the median of {} runs", pl.col("ratio").round(3), "runs"),
         ),
         "Least clearance": (
-            rows.drop_nulls("clearance_least_m").sort("clearance_least_m", maintain_order=True),
-            _least_clearance,
+            rows.drop_nulls("clearance_least_m"),
+            -nearest,
+            pl.format("{} m", nearest.round(1))
+            + pl.format(" at {} s", at_s.round().cast(int)).fill_null(""),
         ),
     }
     sheets = []
-    for kind, (runs, says) in worst.items():
+    for kind, (runs, badness, says) in worst.items():
+        first = runs.sort(badness, descending=True, maintain_order=True).head(_WORST)
         shown = [
-            (str(row["run"]), row["key"], says(row), replay_command(campaign, row))
-            for row in runs.head(_WORST).iter_rows(named=True)
+            (str(row["run"]), row["key"], row["says"], replay_command(campaign, row))
+            for row in first.with_columns(says=says).iter_rows(named=True)
         ]
         title = f"{kind}: {len(shown)} of {len(runs):,}" if len(runs) > len(shown) else kind
         head = ("run", "factors", "what", "see it again")
         sheets += [Sheet(title=title, head=head, rows=shown, words=4)] if shown else []
     return sheets
-
-
-def _least_clearance(row: Row) -> str:
-    at_s = row["clearance_least_t_s"]
-    return f"{row['clearance_least_m']:.1f} m" + ("" if at_s is None else f" at {at_s:,.0f} s")
 
 
 def replay_command(campaign: Campaign, row: Row) -> str:
@@ -236,7 +222,8 @@ def replay_command(campaign: Campaign, row: Row) -> str:
         return shlex.join(["companion", "replay", str(campaign.folder / row["folder"])])
     again = f"{campaign.folder}-run-{row['run']}"
     asked = ["--only", str(row["run"]), "--keep", "all", "--out", again]
-    return shlex.join(["companion", "campaign", "run", *campaign.source, *asked])
+    source = campaign.facts.source or [str(campaign.folder / "campaign.toml")]
+    return shlex.join(["companion", "campaign", "run", *source, *asked])
 
 
 # --- for whom

@@ -18,10 +18,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from companion.campaign import drawn_faults, families, in_process, judge
+from companion.campaign import drawn_faults, families, judge
 from companion.campaign.drawn_world import DrawnWorld, of_files, tables_of
 from companion.campaign.file import Knowledge, Place, Run
-from companion.campaign.in_process import FlightFiles
+from companion.campaign.in_process import FlightFiles, Flying, fly_here, simulator
 from companion.campaign.store import Row
 from companion.config import folder_of, load_world, mission_text, world_table
 from companion.errors import InputError
@@ -31,13 +31,11 @@ from companion.planner.offline import OfflineFlight, TerrainRadar, fly_offline
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.planning import OURS, planner_of
 from companion.profiles import PROFILES
-from companion.sources.files import toml_table, toml_text, with_settings
-from companion.world.known_map import Scan
+from companion.sources.files import RawTable, toml_table, toml_text, with_settings
 from companion.world.simulated import simulated_scan, true_map
 
 _POINTS_PER_RANGE = 1_000
 _OF_PLACES = ("terrain clearance", "keep-out zone", "edge of the map")
-_OF_PLACE = ("mission", "family", "family_seed", "family_index")
 _ROOT = "runs"
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
@@ -68,13 +66,10 @@ def fly_run(run: Run, out: Path) -> Row:
 
 def row_of(run: Run, columns: Row) -> Row:
     """The row of a run, with what was found of it."""
-    place = run.place
-    name = Path(place.world).parent.name if place.world.endswith(".toml") else place.world
-    usual = {"profile": "", "optimiser": "", "budget": 0, "planner": OURS, "knowledge": "scans"}
-    about = {"run": run.number, "key": run.key, "seed": run.seed, "world": name, "over": run.over}
-    about |= {name: getattr(place, name) for name in _OF_PLACE} | usual | run.factors
+    about = {"run": run.number, "key": run.key, "seed": run.seed, "over": run.over}
+    about |= run.place._asdict() | {"world": run.place.name, "planner": OURS, "knowledge": "scans"}
     flown = {"version": version("companion"), "worker": f"{platform.node()}/{os.getpid()}"}
-    return about | flown | {"took_s": 0.0, "cpu_s": 0.0, "folder": ""} | columns
+    return about | run.factors | flown | {"took_s": 0.0, "cpu_s": 0.0, "folder": ""} | columns
 
 
 def error_of(error: str) -> Row:
@@ -87,7 +82,7 @@ def _flown(run: Run, folder: Path) -> Row:
         if run.over == "planner":
             return _planned(run, folder)
         files = _files(run, folder)
-        flown = in_process.fly_here(files, seed=run.seed, limit_s=run.limit_s)
+        flown = fly_here(files, seed=run.seed, limit_s=run.limit_s)
         drawn = of_files(str(files.world), str(files.mission))
         is_drawn = run.script is not None
         columns = judge.judged(flown, drawn, files.faults if is_drawn or files.faults else None)
@@ -119,7 +114,8 @@ def fly_alone(
     world: DrawnWorld, planner: str = OURS, *, knowledge: Knowledge = "scans", seed: int = 1
 ) -> AloneFlight:
     """Fly a world's mission; with full knowledge all of the ground is on the map before it."""
-    plan_s, blank, plan = list[float](), families.unseen(world), planner_of(planner)
+    task, plan_s, plan = world.task, list[float](), planner_of(planner)
+    blank, range_m = families.unseen(world), task.settings.scan_range_m
     if knowledge == "full":
         every = np.ones(blank.upper_m.shape, dtype=bool)
         upper_m = true_map(world.terrain, blank).upper_m
@@ -131,20 +127,17 @@ def fly_alone(
         plan_s.append(time.process_time() - began_s)
         return outcome
 
-    def scanned(at_nea_m: tuple[float, float, float]) -> Scan:
-        return simulated_scan(blank, at_nea_m, world.task.settings.scan_range_m, world.terrain)
-
     flight = fly_offline(
-        world.task,
-        TerrainRadar(world.task, scanned),
+        task,
+        TerrainRadar(task, lambda at: simulated_scan(blank, at, range_m, world.terrain)),
         blank=blank,
         start_nea_m=world.start_nea_m,
         targets_ne_m=world.targets_ne_m,
         seed=seed,
         planner=timed,
     )
-    points = flight.route_nea_m(world.task.settings.scan_range_m / _POINTS_PER_RANGE)
-    return AloneFlight(flight, points, plan_s, "" if flight.failure is None else flight.failure.why)
+    points = flight.route_nea_m(range_m / _POINTS_PER_RANGE)
+    return AloneFlight(flight, points, plan_s, flight.failure.why if flight.failure else "")
 
 
 def _planned(run: Run, folder: Path) -> Row:
@@ -157,7 +150,7 @@ def _planned(run: Run, folder: Path) -> Row:
         _files(run, folder)
     planner, knowledge = run.factors.get("planner", OURS), run.factors.get("knowledge", "scans")
     flown = fly_alone(drawn, planner, knowledge=knowledge, seed=run.seed)
-    columns = judge.of_task(drawn.task, drawn, flown.plan_s) | {
+    columns = judge.of_task(drawn, flown.plan_s) | {
         "outcome": "failed" if flown.why else "arrived",
         "reason": flown.why or None,
         "arrived": not flown.why,
@@ -188,11 +181,12 @@ def _of_planner(run: Run) -> dict[str, Any]:
 # --- flights
 
 
-def _files(run: Run, folder: Path) -> FlightFiles:
-    """World and mission of a run, with its factors, as companion and vehicle read them."""
+def _tables(run: Run) -> tuple[RawTable, RawTable]:
+    """World and mission of a run, with its factors, as their files have them."""
     place, asked = run.place, run.factors.get("vehicle")
+    autopilot: Any
+    autopilot, _, kind = (asked or "ardupilot").partition("-")
     if place.family is not None:
-        autopilot: Any = (asked or "ardupilot").partition("-")[0]
         world, mission = tables_of(drawn_of(place), autopilot)
     else:
         mission_name = place.mission or place.world
@@ -202,17 +196,21 @@ def _files(run: Run, folder: Path) -> FlightFiles:
         for table, name in ((world, place.world), (mission, mission_name)):
             terrain = table.get("terrain")
             if isinstance(terrain, dict) and "file" in terrain:  # wherever the files are copied to
-                file = folder_of(name).absolute() / terrain["file"]
-                table["terrain"] = terrain | {"file": str(file)}
+                terrain["file"] = str(folder_of(name).absolute() / terrain["file"])
     if asked is not None:
-        autopilot, kind = asked.split("-")
         is_ideal = (world["vehicle"]["autopilot"], asked) == ("ideal", "ardupilot-copter")
-        for table, name in ((world, "ideal" if is_ideal else autopilot), (mission, autopilot)):
-            table["vehicle"] = table["vehicle"] | {"autopilot": name, "kind": kind}
+        world["vehicle"] |= {"autopilot": "ideal" if is_ideal else autopilot, "kind": kind}
+        mission["vehicle"] |= {"autopilot": autopilot, "kind": kind}
     mission["planner"] = mission.get("planner", {}) | _of_planner(run)
     for choice in run.choices:
         world = with_settings(world, choice.world)
         mission = with_settings(mission, choice.mission)
+    return world, mission
+
+
+def _files(run: Run, folder: Path) -> FlightFiles:
+    """World, mission and faults of a run, as companion and vehicle read them."""
+    world, mission = _tables(run)
     name, lines = "", [choice.faults.strip() for choice in run.choices]
     if run.script is not None:
         of = mission["vehicle"]
@@ -241,20 +239,21 @@ def check_runs(runs: Sequence[Run], where: str) -> None:
 
     One run of each kind is looked at; of a family, one world.
     """
-    kinds = dict[Any, Run]()
-    for run in runs:
-        place = run.place.family or (run.place.world, run.place.mission)
-        names = tuple(choice.name for choice in run.choices)
-        kinds.setdefault((place, names, run.factors.get("vehicle")), run)
     for planner in {run.factors.get("planner", OURS) for run in runs}:
         planner_of(planner, "factors.planner")
     for optimiser in {run.factors["optimiser"] for run in runs if "optimiser" in run.factors}:
         OPTIMISERS.chosen(optimiser, "factors.optimiser")
+    kinds = dict[Any, Run]()
+    for run in runs:
+        names = tuple(choice.name for choice in run.choices)
+        kinds.setdefault((run.place.family or run.place, names, run.factors.get("vehicle")), run)
     for run in kinds.values():
         try:
             with tempfile.TemporaryDirectory() as folder:
-                if run.over != "planner":
-                    in_process.check(_files(run, Path(folder)))
+                if run.over == "process":
+                    files = _files(run, Path(folder))
+                    simulator().entries(files.faults)
+                    Flying(files, seed=0, limit_s=run.limit_s).close()
                 elif run.place.family is None:
                     drawn_of(run.place)
         except Exception as error:  # noqa: BLE001 - of either program, in its words

@@ -12,13 +12,13 @@ import numpy as np
 import polars as pl
 from scipy.stats import binomtest, bootstrap, wilcoxon
 
-from companion.campaign.file import FactorsTable
+from companion.campaign.file import FactorsTable, Place
 from companion.geodesy import FloatArray
 
 CONFIDENCE: Final = 0.95
 FEWEST: Final = 6
 """Values for an interval: the range of five holds the median in 93.75 % of draws only."""
-TASK: Final = ("world", "family", "family_seed", "family_index", "mission")
+TASK: Final = Place._fields
 """The factors that say what is to be flown; the others say how."""
 FACTORS: Final = (*TASK, *FactorsTable.model_fields)
 _RESAMPLES: Final = 2000

@@ -12,13 +12,15 @@ flown again, and is the same.  Two writers at once are refused.
 
 import fcntl
 import io
-import json
 import shutil
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self, final
+
+import msgspec
+from msgspec import Struct
 
 from companion.errors import InputError
 from companion.extras import need
@@ -96,16 +98,23 @@ _WRITE_S: Final = 2.0
 _WRITE_ROWS: Final = 500
 
 
+class Facts(Struct, frozen=True, kw_only=True):
+    """What runs.json says of a campaign; of a folder without it nothing."""
+
+    digest: str = ""
+    """Of all runs."""
+    runs: int | None = None
+    """How many it has in all."""
+    source: list[str] = []
+    """What names these runs by these numbers again, as arguments of the command."""
+
+
 @final
 class Store:
     """A campaign's folder, open for writing; what has not been written is written at its end."""
 
-    def __init__(
-        self, folder: Path, *, text: str, digest: str, count: int, source: Sequence[str]
-    ) -> None:
-        """text: of the campaign's file.  digest: of all runs; count: how many.
-
-        source: what names these runs by these numbers again, as arguments of the command.
+    def __init__(self, folder: Path, text: str, facts: Facts) -> None:
+        """text: of the campaign's file.
 
         InputError if the folder holds another campaign, is written to by another process, or
         cannot be written to.
@@ -118,10 +127,9 @@ class Store:
                 self._lock = broken.enter_context((folder / _LOCK).open("w"))
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 if not (folder / _RUNS).exists() and not any((folder / ROWS).iterdir()):
-                    facts = {"digest": digest, "runs": count, "source": [*source]}
                     replace_whole(folder / _FILE, text.encode())
-                    replace_whole(folder / _RUNS, json.dumps(facts).encode())
-                elif facts_of(folder).get("digest") != digest:
+                    replace_whole(folder / _RUNS, msgspec.json.encode(facts))
+                elif facts_of(folder).digest != facts.digest:
                     raise self._refused("it holds another campaign, or the same with other options")
                 # what a killed process was writing: it has the lock no more
                 for path in (*folder.glob(f"{ROWS}/.*.new"), *folder.glob("runs/.new-*")):
@@ -192,10 +200,9 @@ def read_rows(field: str, folder: Path, *columns: str) -> "pl.DataFrame":
     return pl.concat(frames).unique("run", keep="first").sort("run")
 
 
-def facts_of(folder: Path) -> dict[str, Any]:
+def facts_of(folder: Path) -> Facts:
     """What `runs.json` says; nothing, if it cannot be read."""
     try:
-        facts = json.loads((folder / _RUNS).read_bytes())
+        return msgspec.json.decode((folder / _RUNS).read_bytes(), type=Facts)
     except (OSError, ValueError, RecursionError):
-        return {}
-    return facts if isinstance(facts, dict) else {}
+        return Facts()

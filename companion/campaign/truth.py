@@ -265,20 +265,18 @@ class Measures(NamedTuple):
 
 def measure(curve: Curve, terrain: PeakTerrain | ArrayTerrain, task: Task) -> Measures:
     """Everything about one sampled curve."""
-    points, climb = curve.points_nea_m, curve.climb_rad
+    points, climb, limits = curve.points_nea_m, curve.climb_rad, task.limits
+    low, high = points.min(axis=0), points.max(axis=0)
+    least, most = np.transpose((limits.north_m, limits.east_m))
     clearance = terrain_distance_m(points, terrain, 2.0 * task.required_clearance_m)
     aside = [float(keep_out_distance_m(points, zone).min()) for zone in task.zones]
-    beyond = [
-        max(edges[0] - float(points[:, axis].min()), float(points[:, axis].max()) - edges[1])
-        for axis, edges in enumerate((task.limits.north_m, task.limits.east_m))
-    ]
     return Measures(
         clearance_m=float(clearance.min()),
         keep_out_m=min(aside, default=math.inf),
         turn_radius_m=float(1.0 / max(np.abs(curve.curvature_1_m).max(), 1e-9)),
         climb_rad=float(climb.max()),
         dive_rad=float(-climb.min()),
-        lowest_amsl_m=float(points[:, 2].min()),
-        highest_amsl_m=float(points[:, 2].max()),
-        off_map_m=max(*beyond, 0.0),
+        lowest_amsl_m=float(low[2]),
+        highest_amsl_m=float(high[2]),
+        off_map_m=max(float(np.max([least - low[:2], high[:2] - most])), 0.0),
     )

@@ -22,10 +22,10 @@ import math
 import os
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Literal, final
+from typing import Any, Literal, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -400,6 +400,22 @@ def _apart_m(a: FloatArray, b: FloatArray) -> float:
 # --- of any world, found once
 
 
+def scaled(world: DrawnWorld, by: float) -> DrawnWorld:
+    """The same world at another size: lengths and speeds times a factor.  J stays what it is."""
+    return _scaled(world, by, "")
+
+
+def _scaled(value: Any, by: float, name: str) -> Any:
+    """A value with all that it holds; names say what a length or a speed is."""
+    if is_dataclass(value) and not isinstance(value, type):
+        parts = {field.name: getattr(value, field.name) for field in fields(value) if field.init}
+        return replace(value, **{name: _scaled(part, by, name) for name, part in parts.items()})
+    if isinstance(value, tuple):
+        return tuple(_scaled(item, by, name) for item in value)
+    is_length = isinstance(value, (float, np.ndarray)) and name.endswith(("_m", "_m_s", "_m_s2"))
+    return value * by if is_length else value
+
+
 def best_of(world: DrawnWorld) -> float | None:
     """J*, found at the size that the solver is made for, or before; None: there is no route.
 
@@ -414,7 +430,7 @@ def best_of(world: DrawnWorld) -> float | None:
     clearance_m = world.task.required_clearance_m
     scale = max(_SOLVER_SIDE_M / _side_m(world), _SOLVER_CLEARANCE_M / clearance_m)
     try:
-        cost, _ = optimum(drawn_world.scaled(world, scale) if abs(scale - 1.0) > 1e-9 else world)
+        cost, _ = optimum(scaled(world, scale) if abs(scale - 1.0) > 1e-9 else world)
     except ValueError:
         return None
     store.mkdir(parents=True, exist_ok=True)
@@ -437,8 +453,7 @@ def best_of_place(place: Place) -> float | None:
 
 def place_of(row: Row) -> Place:
     """Where a run was flown."""
-    where = ("world", "mission", "family", "family_seed", "family_index")
-    return Place("", *(row[column] for column in where))
+    return Place(*(row[column] for column in Place._fields))
 
 
 def ratios(rows: Sequence[Row], known: dict[Place, float | None]) -> FloatArray:

@@ -22,7 +22,7 @@ from companion.campaign.execute import fly
 from companion.campaign.file import Run, load_campaign, runs_of
 from companion.campaign.report import read_campaign, replay_command
 from companion.campaign.run import fly_run
-from companion.campaign.store import COLUMNS, TIMING, Row, Store, table
+from companion.campaign.store import COLUMNS, TIMING, Facts, Row, Store, table
 from companion.cli import app
 from companion.errors import InputError
 
@@ -241,7 +241,7 @@ def test_what_is_wrong_with_a_campaign_is_said_in_one_line_before_anything_is_wr
 
 def test_a_folder_of_something_else_and_a_busy_one_are_refused(tmp_path: Path) -> None:
     def store(digest: str) -> Store:
-        return Store(tmp_path, text="", digest=digest, count=1, source=[])
+        return Store(tmp_path, "", Facts(digest=digest, runs=1))
 
     with store("a"), pytest.raises(InputError, match="another process"):
         store("a")

@@ -6,7 +6,7 @@ much of what breaks a bound.
 
 import math
 import statistics
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from typing import Any, final
@@ -191,19 +191,15 @@ def fly_all(
     `campaign` is needed.  shown: what is iterated over goes through it, to show how far it is.
     """
     every = [(case, seed + k) for case in cases for k in range(runs)]
-    if jobs == 1:
-        flown = [fly(*arguments) for arguments in shown(every)]
-    else:
+    flying: Generator[tuple[int, Any]] = ((k, fly(*each)) for k, each in enumerate(every))
+    if jobs > 1:
         extras.need("campaign", "--jobs", jobs)
-        by_number = dict[int, Run]()
-        with closing(
-            worked(lambda arguments: fly(*arguments), every, jobs=min(jobs, len(every)))
-        ) as working:
-            for number, run in shown(working):
-                if isinstance(run, Exception):
-                    raise run
-                by_number[number] = run
-        flown = [by_number[number] for number in range(len(every))]
-    return [
-        Outcome(case=case, runs=flown[k * runs : (k + 1) * runs]) for k, case in enumerate(cases)
-    ]
+        flying = worked(lambda each: fly(*each), every, jobs=min(jobs, len(every)))
+    flown = dict[int, Run]()
+    with closing(flying):
+        for number, run in shown(flying):
+            if isinstance(run, Exception):
+                raise run
+            flown[number] = run
+    by_case = [[flown[k * runs + n] for n in range(runs)] for k in range(len(cases))]
+    return [Outcome(case=case, runs=its) for case, its in zip(cases, by_case, strict=True)]
