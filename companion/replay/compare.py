@@ -394,12 +394,13 @@ def replay_of_log(
 
     InputError if it is no log, has several vehicles and none is chosen, or no companion.
     """
-    log = open_log(path, system_id=system_id or mission.system_id)
+    wanted = system_id or mission.system_id
+    open_log(path, system_id=wanted)
     if not any(_is_of_companion(frame) for _, frame in Records(path)):
         rule = "nothing in it was sent by a companion: there is nothing to compare with"
         remedy = "Give --shadow to see what it would have done."
         raise InputError("RUN_DIR|LOG", str(path), rule, remedy)
-    flown, asked = replace(mission, system_id=log.system_id), dict[int, PlanRequest]()
+    flown, asked = replace(mission, system_id=wanted), dict[int, PlanRequest]()
     session = Session(flown, seed=seed, lockstep=True, version=version)
     recorded = Recorded(_frames_of(path), alone=True)
     inputs = chain(session.take_output().inputs, _inputs_of(path, asked, recorded.found))
