@@ -276,19 +276,13 @@ def _place_of(error: Exception) -> str:
 class Recorded:
     """Recorded frames and entries, in order, to hold those of a replay against."""
 
-    def __init__(
-        self,
-        frames: Iterator[tuple[int, bytes]],
-        lines: Iterable[bytes] = (),
-        *,
-        alone: bool = False,
-    ) -> None:
+    def __init__(self, frames: Iterator[tuple[int, bytes]], lines: Iterable[bytes] | None) -> None:
         """frames: with their stamps; lines: of the journal, its headers too.
 
-        alone: there are only frames, stamped by whatever clock.
+        None: of a log alone, which may have been stamped by any clock.
         """
-        self.found, self._frames, self._alone = Replayed(), frames, alone
-        of_companions = groupby(lines, lambda line: line.startswith(_HEADER))
+        self.found, self._frames, self._alone = Replayed(), frames, lines is None
+        of_companions = groupby(lines or (), lambda line: line.startswith(_HEADER))
         self._journals = iter([[*group] for is_header, group in of_companions if not is_header])
         """The entries of each companion; one that was killed at once has none."""
         self._entries = deque[bytes]()
@@ -402,7 +396,7 @@ def replay_of_log(
         raise InputError("RUN_DIR|LOG", str(path), rule, remedy)
     flown, asked = replace(mission, system_id=wanted), dict[int, PlanRequest]()
     session = Session(flown, seed=seed, lockstep=True, version=version)
-    recorded = Recorded(_frames_of(path), alone=True)
+    recorded = Recorded(_frames_of(path), lines=None)
     inputs = chain(session.take_output().inputs, _inputs_of(path, asked, recorded.found))
     return Replay(inputs, recorded, lambda _: mission, asked=asked)
 

@@ -29,7 +29,6 @@ from companion.telemetry.export.shapes import SubpathPoints
 
 _EVER: Final = -1e8  # before that: not heard of yet
 _BEGINS: Final = "it begins to watch"
-_SILENCE: Final = "silence"
 _AT_END_M: Final = 1.0
 _OFF, _REACHED = "shadow: the vehicle is ", "shadow: target reached"
 """How texts of the mission machine begin that say why it leaves a path."""
@@ -131,7 +130,7 @@ class Notes:
         self._look_for_a_hold(at_s, state, silent=silent_from_s is not None)
         if silent_from_s is not None:
             self._outside, self._heard_s = {}, None
-            self._observe(silent_from_s, [_SILENCE])
+            self._observe(silent_from_s, ["silence"])
             return
         in_air = is_in_air(vehicle)
         if in_air and self._heard_s is not None:
@@ -256,16 +255,14 @@ class Notes:
             return
         if was_nea_m is not None and vehicle.jumped_at_s == vehicle.position_at_s:
             self._saw("position jumped", at_s, at_s, math.dist(was_nea_m, position))
-        in_air = is_in_air(vehicle)
-        if not in_air:
+        if not is_in_air(vehicle):
             self._followed, self._outside = None, {}
         elif self.report.mission is not None and vehicle.distrust is None:
-            self._outside = {kind: m for kind, m in _beyond_m(position, state).items() if m > 0.0}
-            if state.phase is Phase.SHADOW and state.reason not in _DISTRUST:
-                if (leg := state.leg) is not None:
-                    self._followed = self._asked.get(leg.plan_id)
-                if self._followed is not None:
-                    self._followed.track.append((at_s, position))
+            self._outside = _beyond_m(position, state)
+            if self._hold is None and state.leg is not None:
+                self._followed = self._asked.get(state.leg.plan_id)
+            if self._followed is not None:  # nothing is in a hold
+                self._followed.track.append((at_s, position))
 
     def _odd_now(self) -> Iterator[str]:
         """What is odd about the vehicle's health; before it was ready, only a fix is waited for."""
@@ -319,7 +316,7 @@ def is_in_air(vehicle: Vehicle) -> bool:
 
 
 def _beyond_m(position: Vector, state: State) -> dict[str, float]:
-    """By how much the vehicle is beyond each bound of the mission; negative: within."""
+    """The bounds of the mission that the vehicle is beyond, and by how much."""
     (north_m, east_m, altitude_m), limits = position, state.task.limits
     (south, north), (west, east) = limits.north_m, limits.east_m
     beyond = {
@@ -331,4 +328,4 @@ def _beyond_m(position: Vector, state: State) -> dict[str, float]:
         where = "outside keep-in" if zone.keep_in else "inside keep-out"
         gap_m = float(zone.distance_m(np.asarray(north_m), np.asarray(east_m)))
         beyond[f"{where} {zone.name}"] = -gap_m
-    return beyond
+    return {kind: by_m for kind, by_m in beyond.items() if by_m > 0.0}
