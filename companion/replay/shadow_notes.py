@@ -76,8 +76,6 @@ class Notes:
         """As it was when this session was last run."""
         self._heard_s: float | None = None
         """When it was last heard, unless it has been silent since."""
-        self._looked_at_s = -math.inf
-        """Vehicle time of the last position that was looked at."""
         self._spans: dict[str, Observed] = {}
         """What is observed now, by its kind."""
         self._outside: dict[str, float] = {}
@@ -97,8 +95,7 @@ class Notes:
 
     def begin_again(self) -> None:
         """A new session begins."""
-        self._vehicle, self._looked_at_s = Vehicle(), -math.inf
-        self._asked, self._followed = {}, None
+        self._vehicle, self._asked, self._followed = Vehicle(), {}, None
 
     def not_recorded(self, from_s: float, until_s: float) -> None:
         """The log has a gap, and another session begins: nothing in progress goes on."""
@@ -138,8 +135,7 @@ class Notes:
         if in_air is not is_in_air(before):
             self.say(at_s, "in the air" if in_air else "on the ground")
         self._heard_s = at_s
-        if self._is_ready and vehicle.position_at_s != self._looked_at_s:
-            self._looked_at_s = vehicle.position_at_s
+        if self._is_ready and vehicle.position_at_s != before.position_at_s:
             self._on_position(at_s, before.position_nea_m, state)
         self._observe(at_s, self._odd_now())
 
@@ -179,8 +175,7 @@ class Notes:
         if not hold.why or hold.why[-1].code != reason.name:
             why = HoldReason(at_s=at_s, code=reason.name, text=reason.text, remedy=reason.remedy)
             hold.why.append(why)
-        watching = state.phase is Phase.SHADOW and not silent
-        trusted = watching and state.vehicle.distrust is None
+        trusted = state.vehicle.distrust is None and not silent
         hold.trusted_s = (hold.trusted_s or at_s) if trusted else None
 
     def _would_hold(self, state: State, *, silent: bool) -> Reason | None:
