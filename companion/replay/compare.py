@@ -10,13 +10,12 @@ together, nor how long plans took: each frame is handled by itself, and each pla
 as in lockstep.  So only flights in lockstep are reproduced from it.
 """
 
-import math
 import time
 import traceback
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from itertools import chain, count, islice, starmap
+from itertools import chain, count, groupby, islice, starmap, tee
 from pathlib import Path
 from typing import Final, final
 
@@ -35,8 +34,7 @@ from companion.planning import plan
 from companion.replay.differences import (
     NOTHING,
     Difference,
-    entries_differ,
-    frames_differ,
+    first_difference,
     name_of,
     values_differ,
 )
@@ -46,25 +44,18 @@ from companion.replay.feed import (
     DamagedInputError,
     Feeder,
     MissionOf,
-    answer_of,
     arguments_of,
-    start_of,
-    why_not_recorded,
 )
 from companion.session import Session
 from companion.sources.files import file_of_run
 from companion.telemetry.inputs import FILE, InputsFile, is_hole
-from companion.telemetry.logs import Log, Record, open_log
+from companion.telemetry.logs import open_log
 from companion.telemetry.run_folder import LONGEST_RECORD, Records, journal_line
 
 _HEADER: Final = b'{"schema"'
 """How the line of a journal begins with which a companion begins."""
-_MOST_AHEAD: Final = 1000
-"""Frames that are still sent in the replay of a log alone when the companion in it sends no more:
-so many may just not have been recorded any more."""
-_LEAP_S: Final = 1.0
-"""If vehicle time leaps by more once the recording had stopped, what came between is missing: every
-autopilot tells its time more often, and its silence would be an input."""
+_NOT_RECORDED: Final = "not recorded any more: "
+"""So the runtime complains once a disk fails or stands still (`runtime.loop`)."""
 
 
 @final
@@ -79,17 +70,18 @@ class Replayed(Struct, kw_only=True):
     """How many of them another kernel had computed: the last bits of its results may differ."""
     starts: int = 0
     """How often the companion was started."""
-    flown_by: str = ""  # the companion's version; empty: a log does not tell
+    flown_by: str = ""
+    """The companion's version; empty: a log does not tell."""
     inputs: int = 0
     frames: int = 0
-    """Frames that were the same: both ways, of a log alone the companion's."""
+    """Frames that were the same, both ways."""
     entries: int = 0
     unrecorded: int = 0
     """Frames and entries after the end of the recording: it was killed, or the disk was full."""
     of_no_input: int = 0
     """Frames and entries before a restart that are of no input: it was killed while it wrote."""
     stops: list[str] = []
-    """When the recording had stopped, why, and from when to when nothing is known."""
+    """When the recording had stopped, why, and up to when there is one nevertheless."""
     torn: str = ""
     """Why it ended before the end of the file."""
     plans: int = 0
@@ -161,83 +153,56 @@ class Replay:
         self._asked = {} if asked is None else asked
         self._flown_before_s = 0.0
         """By the sessions before this one."""
-        self._stop: tuple[str, int] | None = None
-        """When and why the recording had stopped, and in which start; None: nothing is missing."""
-        self._known_s = math.nan
-        """Vehicle time up to which all is known; nan: there is none, or the vehicle is silent."""
-        self._is_lost = False
-        """Whether inputs of this session are missing: what it decides cannot be compared."""
+        self._stop = ""
+        """When and why the recording of this companion had stopped."""
 
     def steps(self) -> Iterator[None]:
         """Replay, input by input, until the first difference or the end."""
-        began_s, replayed = time.perf_counter(), self.found
+        began_s, found = time.perf_counter(), self.found
         try:
             for call, *remarks in _turns(self._inputs):
-                replayed.inputs += 1 + len(remarks)
+                found.inputs += 1 + len(remarks)
                 output, error = self._feed(call)
-                if not self._is_lost:
-                    self._compare(call[0], output, error, remarks)
-                replayed.took_s = time.perf_counter() - began_s
-                if replayed.difference is not None:
+                self._compare(call[0], output, error, remarks)
+                found.took_s = time.perf_counter() - began_s
+                if found.difference is not None:
                     break
                 yield
-            else:
-                self._recorded.end()
         except DamagedInputError as error:
-            replayed.damaged = str(error)
-        self._go_on()
+            found.damaged = str(error)
+        self._end_companion()
 
     def _feed(self, call: Input) -> tuple[Output | None, Exception | None]:
         """Feed one input; what the session gave and what it raised."""
-        replayed, feeder, raised = self.found, self._feeder, None
-        if call[0] == "start":
-            self._begin(start_of(call))
-        elif call[0] == "deliver":
-            self._compare_plan(answer_of(call))
+        found, feeder, raised = self.found, self._feeder, None
+        match call:
+            case ["start", *_]:
+                self._end_companion()
+                self._asked.clear()
+                self._recorded.begin(*arguments_of(call))
+            case ["deliver", *_]:
+                self._compare_plan(*arguments_of(call))
+            case ["complain", str(text)] if text.startswith(_NOT_RECORDED):
+                self._stop = f"at t {found.now_s:.1f} s ({text.removeprefix(_NOT_RECORDED)})"
         try:
             output = feeder.take(call)
         except (DamagedInputError, InputError):
             raise
         except Exception as error:  # noqa: BLE001 - the session's own: the flight's end, perhaps
-            if call[0] == "start":
-                return None, error
             raised, output = error, feeder.session.take_output()
-        session = feeder.session
-        replayed.now_s = session.now_s
-        replayed.flown_s = self._flown_before_s + session.clock.passed_s
+        clock = feeder.session.clock
+        found.now_s, found.flown_s = clock.now_s, self._flown_before_s + clock.passed_s
         if output is not None and output.plan is not None:
             self._asked[output.plan.plan_id] = output.plan
-        self._look_for_a_gap(call, session)
         return output, raised
 
-    def _begin(self, start: Start) -> None:
-        """A companion begins: what it begins with is recorded whole."""
-        self._recorded.begin()
-        self._asked.clear()
-        replayed, self._is_lost = self.found, False
-        replayed.starts += 1
-        replayed.flown_by, self._flown_before_s = start.companion, replayed.flown_s
-
-    def _look_for_a_gap(self, call: Input, session: Session) -> None:
-        """Note from when to when nothing is known, once the recording had stopped."""
-        replayed, now_s = self.found, session.now_s
-        if (why := why_not_recorded(call)) is not None:
-            self._go_on()
-            self._stop = f"at t {now_s:.1f} s ({why})", replayed.starts
-        elif self._stop and session.clock.is_known and abs(now_s - self._known_s) > _LEAP_S:
-            (where, start), self._stop = self._stop, None
-            unknown = f"nothing is known from t {self._known_s:.1f} s to t {now_s:.1f} s"
-            replayed.stops.append(f"{where}: {unknown}")
-            self._is_lost = start == replayed.starts
-        if call[0] == "silence":
-            self._known_s = math.nan
-        elif session.clock.is_known:
-            self._known_s = now_s
-
-    def _go_on(self) -> None:
-        """Note that nothing is missing since the recording had stopped, if it had."""
-        if self._stop is not None:
-            self.found.stops.append(f"{self._stop[0]}, and went on: nothing is missing")
+    def _end_companion(self) -> None:
+        """All that one companion has recorded is replayed."""
+        found = self.found
+        self._flown_before_s = found.flown_s
+        if self._stop:
+            found.stops.append(f"{self._stop}; what there is ends at t {found.now_s:.1f} s")
+            self._stop = ""
 
     def _compare(
         self, call: str, output: Output | None, error: Exception | None, remarks: list[Input]
@@ -246,39 +211,34 @@ class Replay:
 
         If the flight ended with an error here, the replay must, too.
         """
-        replayed, remarked = self.found, [(remark[0], arguments_of(remark)) for remark in remarks]
-        if output is not None:
-            there = range(len(output.frames))  # else it has sent fewer: that differs
-            unsent = (k for name, of in remarked if name == "unsent" for k in of[0] if k in there)
-            output.leave_out(unsent)
+        found, told = self.found, [(remark[0], arguments_of(remark)) for remark in remarks]
+        unsent = {number for name, of in told if name == "unsent" for number in of[0]}
+        if output is not None:  # which may hold fewer frames: that differs
+            output.leave_out(unsent.intersection(range(len(output.frames))))
             self._recorded.compare(output)
-        for frames in (of[0] for name, of in remarked if name == "held"):
+        for frames in (of[0] for name, of in told if name == "held"):
             self._recorded.pass_over(frames)
-        was = next((of for name, of in remarked if name == "raised"), (call, ""))
-        now = call, "" if error is None else f"{type(error).__name__}: {error}"
-        place = "" if error is None else f"{now[1]} ({_place_of(error)})"
-        replayed.ended_by = (place if was == now else was[1]) or replayed.ended_by
-        if (
-            was != now
-            and (error is not None or was[0] in SESSION_CALLS)
-            and not replayed.difference
-        ):
-            both = was[1] or NOTHING, place or NOTHING
-            replayed.difference = Difference(replayed.now_s, was[0] or "flight", "error", *both)
+        was_in, was = next((of for name, of in told if name == "raised"), (call, ""))
+        now = "" if error is None else f"{type(error).__name__}: {error}"
+        place = "" if error is None else f"{now} ({_place_of(error)})"
+        is_same = (was_in, was) == (call, now)
+        found.ended_by = (place if is_same else was) or found.ended_by
+        if not is_same and (now or was_in in SESSION_CALLS) and found.difference is None:
+            both = was or NOTHING, place or NOTHING
+            found.difference = Difference(found.now_s, was_in or "flight", "error", *both)
 
     def _compare_plan(self, answer: PlanOutcome) -> None:
         """Compute a plan again, only to compare it."""
-        replayed, request = self.found, self._asked.pop(answer.plan_id, None)
-        replayed.plans += 1
-        if request is None or self._is_lost or not self._plans:
+        found, request = self.found, self._asked.pop(answer.plan_id, None)
+        found.plans += 1
+        if request is None or not self._plans:
             return
-        replayed.plans_computed += 1
+        found.plans_computed += 1
         was, kernel = values_of(answer), kernels.signature()
         recorded_by = str(was.pop("kernel", kernel))
         patience, asked = getattr(answer, "stopped_after", None), count(1)
         try:  # with the search budget of the recorded one
-            made = plan(request, lambda: patience is not None and next(asked) > patience)
-            now = values_of(made)
+            now = values_of(plan(request, lambda: patience is not None and next(asked) > patience))
         except Exception as error:  # noqa: BLE001 - the planner's own: in flight it had an answer
             now, recorded_by = {"error": f"{type(error).__name__}: {error}"}, kernel
         now.pop("kernel", None)
@@ -287,8 +247,8 @@ class Replay:
             return
         if recorded_by != kernel:
             what += f" ({recorded_by}, now {kernel})"
-            replayed.plans_excused += 1
-        replayed.plans_differ.append(Difference(replayed.now_s, what, *place))
+            found.plans_excused += 1
+        found.plans_differ.append(Difference(found.now_s, what, *place))
 
 
 def _turns(inputs: Iterable[Input]) -> Iterator[list[Input]]:
@@ -316,32 +276,32 @@ def _place_of(error: Exception) -> str:
 class Recorded:
     """Recorded frames and entries, in order, to hold those of a replay against."""
 
-    def __init__(
-        self, frames: Iterator[Record], lines: Iterable[bytes] = (), *, alone: bool = False
-    ) -> None:
-        """lines: of the journal, its headers too.
+    def __init__(self, frames: Iterator[tuple[int, bytes]], lines: Iterable[bytes] | None) -> None:
+        """frames: with their stamps; lines: of the journal, its headers too.
 
-        alone: there are only frames, and only of the companion, by whatever clock.
+        None: of a log alone, which may have been stamped by any clock.
         """
-        self.found, self._alone = Replayed(), alone
-        self._frames, self._lines = frames, deque(lines)
+        self.found, self._frames, self._alone = Replayed(), frames, lines is None
+        of_companions = groupby(lines or (), lambda line: line.startswith(_HEADER))
+        self._journals = iter([[*group] for is_header, group in of_companions if not is_header])
+        """The entries of each companion; one that was killed at once has none."""
+        self._entries = deque[bytes]()
         self._epoch_us: int | None = None
         """The stamp of vehicle time 0, by the first frame that is compared."""
         self._searches = False
         """Whether the next frame may be the first of a companion that begins again."""
-        self._ahead: Difference | None = None
-        """The first frame that was sent after the last recorded one."""
 
-    def begin(self) -> None:
+    def begin(self, start: Start) -> None:
         """A companion begins, perhaps again: then the vehicle's clock may differ.
 
         What the one before has written last may be of no input: it was killed while it wrote.
         """
-        self._epoch_us, self._searches = None, self.found.starts > 0
-        while self._searches and self._next_line() is not None:
-            self.found.of_no_input += 1
-        while self._lines and self._lines[0].startswith(_HEADER):  # or it had been killed at once
-            self._lines.popleft()
+        found = self.found
+        found.flown_by = "" if self._alone else start.companion
+        found.of_no_input += len(self._entries)
+        self._entries = deque(next(self._journals, ()))
+        self._epoch_us, self._searches = None, found.starts > 0
+        found.starts += 1
 
     def compare(self, output: Output) -> None:
         """Compare the output of one run with the next records."""
@@ -352,57 +312,41 @@ class Recorded:
     def pass_over(self, frames: int) -> None:
         """Skip what the watchdog sent: so many frames, and one entry."""
         next(islice(self._frames, frames, frames), None)
-        self._next_line()
-
-    def end(self) -> None:
-        """The replay is over: a companion in a log may have sent no more than it did."""
-        replayed, left = self.found, next(self._frames, None) if self._alone else None
-        if left is not None:
-            replayed.difference = frames_differ(replayed.now_s, left.frame, None)
-
-    def _next_line(self) -> bytes | None:
-        """The next entry of this companion."""
-        has_one = self._lines and not self._lines[0].startswith(_HEADER)
-        return self._lines.popleft() if has_one else None
+        if self._entries:
+            self._entries.popleft()
 
     def _entry_differs(self, entry: Told) -> Difference | None:
-        if (line := self._next_line()) is None:
+        if not self._entries:
             self.found.unrecorded += 1
             return None
-        difference = entries_differ(entry["t_s"], line, journal_line(entry))
+        difference = first_difference(entry["t_s"], self._entries.popleft(), journal_line(entry))
         self.found.entries += difference is None
         return difference
 
     def _frame_differs(self, time_s: float, frame: bytes) -> Difference | None:
-        if self._alone and not _is_of_companion(frame):
-            return None
         if self._searches:
             self._search(frame)
         if (record := next(self._frames, None)) is None:
             self.found.unrecorded += 1
-            self._ahead = self._ahead or frames_differ(time_s, None, frame)
-            too_many = self._alone and self.found.unrecorded > _MOST_AHEAD
-            return self._ahead if too_many else None
-        if (difference := frames_differ(time_s, record.frame, frame)) is not None:
+            return None
+        stamp_us, recorded = record
+        if (difference := first_difference(time_s, recorded, frame)) is not None:
             return difference
-        at_us = round(time_s * 1e6)
-        self._epoch_us = record.time_us - at_us if self._epoch_us is None else self._epoch_us
-        late_us = record.time_us - self._epoch_us - at_us
-        if late_us and not self._alone:
-            return Difference(time_s, name_of(frame), "time", time_s + late_us * 1e-6, time_s)
+        epoch_us = stamp_us - round(time_s * 1e6)
+        self._epoch_us = epoch_us if self._epoch_us is None else self._epoch_us
+        if epoch_us != self._epoch_us and not self._alone:
+            recorded_s = time_s + (epoch_us - self._epoch_us) * 1e-6
+            return Difference(time_s, name_of(frame), "time", recorded_s, time_s)
         self.found.frames += 1
         return None
 
     def _search(self, frame: bytes) -> None:
         """Pass over what comes before a frame; nothing, if it does not come."""
-        passed, self._searches = list[Record](), False
-        for record in self._frames:
-            passed.append(record)
-            if record.frame == frame:
-                self.found.of_no_input += len(passed) - 1
-                passed = [record]
-                break
-        self._frames = chain(passed, self._frames)
+        ahead, self._frames = tee(self._frames)
+        passed = next((k for k, (_, other) in enumerate(ahead) if other == frame), 0)
+        next(islice(self._frames, passed, passed), None)
+        self.found.of_no_input += passed
+        self._searches = False
 
 
 def replay_of_folder(folder: Path, mission_of: MissionOf, *, plans: bool = True) -> Replay:
@@ -416,19 +360,19 @@ def replay_of_folder(folder: Path, mission_of: MissionOf, *, plans: bool = True)
     return Replay(_to_the_end(inputs, recorded.found), recorded, mission_of, plans=plans)
 
 
-def _to_the_end(inputs: InputsFile, replayed: Replayed) -> Iterator[Input]:
-    """All of them, and why they end there.  DamagedInputError: what follows are none."""
+def _to_the_end(inputs: InputsFile, found: Replayed) -> Iterator[Input]:
+    """All of them, and why they end there.  DamagedInputError: what follow are none."""
     yield from inputs
     torn = f"{inputs.torn_bytes:,} bytes"
     if inputs.is_damaged:
         raise DamagedInputError(f"{torn} that are no inputs")
-    replayed.torn = f"{torn} of a record that is not whole" if inputs.torn_bytes else ""
+    found.torn = f"{torn} of a record that is not whole" if inputs.torn_bytes else ""
 
 
-def _frames_of(tlog: Path) -> Iterator[Record]:
+def _frames_of(tlog: Path) -> Iterator[tuple[int, bytes]]:
     """The whole records of a log.  DamagedInputError: what follows are none."""
     records = Records(tlog)
-    yield from starmap(Record, records)
+    yield from records
     left = tlog.stat().st_size - records.end
     if left > LONGEST_RECORD and not is_hole(tlog, records.end):
         raise DamagedInputError(f"{left:,} bytes of {tlog.name} that are no frames")
@@ -439,36 +383,33 @@ def _frames_of(tlog: Path) -> Iterator[Record]:
 
 def replay_of_log(
     path: Path, mission: Mission, *, seed: int, version: str, system_id: int | None = None
-) -> tuple[Replay, Log]:
-    """The replay of a log by itself, and the log, for what is odd about it.
+) -> Replay:
+    """The replay of a flight's own log by itself.
 
     InputError if it is no log, has several vehicles and none is chosen, or no companion.
     """
-    log = open_log(path, system_id=system_id)
-    flown = replace(mission, system_id=log.system_id or mission.system_id)
-    session = Session(flown, seed=seed, lockstep=True, version=version)
-    again = open_log(path, system_id=log.system_id).records()
-    sent = (record for record in again if _is_of_companion(record.frame))
-    if (first := next(sent, None)) is None:
+    wanted = system_id or mission.system_id
+    open_log(path, system_id=wanted)
+    if not any(_is_of_companion(frame) for _, frame in Records(path)):
         rule = "nothing in it was sent by a companion: there is nothing to compare with"
         remedy = "Give --shadow to see what it would have done."
         raise InputError("RUN_DIR|LOG", str(path), rule, remedy)
-    recorded = Recorded(chain([first], sent), alone=True)
-    asked = dict[int, PlanRequest]()
-    inputs = chain(session.take_output().inputs, _inputs_of(log, asked, recorded.found))
-    return Replay(inputs, recorded, lambda _: mission, asked=asked), log
+    flown, asked = replace(mission, system_id=wanted), dict[int, PlanRequest]()
+    session = Session(flown, seed=seed, lockstep=True, version=version)
+    recorded = Recorded(_frames_of(path), lines=None)
+    inputs = chain(session.take_output().inputs, _inputs_of(path, asked, recorded.found))
+    return Replay(inputs, recorded, lambda _: mission, asked=asked)
 
 
-def _inputs_of(log: Log, asked: dict[int, PlanRequest], replayed: Replayed) -> Iterator[Input]:
+def _inputs_of(path: Path, asked: dict[int, PlanRequest], found: Replayed) -> Iterator[Input]:
     """Each frame of others by itself, and at once the answer to what was asked."""
-    replayed.flown_by = ""
-    for record in log.records():
-        if _is_of_companion(record.frame):
+    for time_us, frame in Records(path):
+        if _is_of_companion(frame):
             continue
-        yield "receive", record.frame, record.time_us * 1e-6
+        yield "receive", frame, time_us * 1e-6
         yield ("run",)
         while asked:
-            replayed.plans_computed += 1
+            found.plans_computed += 1
             yield "deliver", values_of(plan(asked.popitem()[1]))
             yield ("run",)
     yield ("farewell",)

@@ -6,11 +6,11 @@ from typing import Any, Final, final
 from msgspec import Struct
 
 from companion.mavlink.dialect import Message
-from companion.mavlink.frames import Receiver
+from companion.mavlink.frames import V1, V2, Receiver
 
 NOTHING: Final = "nothing"
-"""Shown for a missing frame, entry or field."""
-_SEQUENCE: Final = {0xFD: 4, 0xFE: 2}
+"""Shown for a missing field or error."""
+_SEQUENCE: Final = {V2: 4, V1: 2}
 """Where a frame holds its sequence number, by its first byte: not compared, nor is the checksum."""
 _HEADER_BYTES: Final = 9
 _SHOWN_BYTES: Final = 100
@@ -34,21 +34,20 @@ class Difference(Struct, frozen=True):
         return f"t {self.t_s:.3f} s: {where}: recorded {was}, replayed {now}"
 
 
-def frames_differ(time_s: float, recorded: bytes | None, frame: bytes | None) -> Difference | None:
-    """The first field in which two frames differ, sequence numbers apart; None: they are equal.
+def first_difference(time_s: float, recorded: bytes, replayed: bytes) -> Difference | None:
+    """The first field in which two frames, or two lines of a journal, differ; None: they do not.
 
-    Either frame may be missing (None).
+    Sequence numbers of frames may differ, and so may the spelling of a line.
     """
-    if recorded == frame or (recorded and frame and _compared(recorded) == _compared(frame)):
+    if recorded == replayed or _compared(recorded) == _compared(replayed):
         return None
-    return _differ(time_s, ("frame", "message"), _of_frame(recorded), _of_frame(frame))
-
-
-def entries_differ(time_s: float, recorded: bytes, replayed: bytes) -> Difference | None:
-    """The first field in which two lines of a journal differ; None: at most their spelling does."""
-    if recorded == replayed:
-        return None
-    return _differ(time_s, ("journal", "kind"), _of_line(recorded), _of_line(replayed))
+    is_frame = replayed[0] in _SEQUENCE
+    (was_kind, was), (kind, now) = map(_of_frame if is_frame else _of_line, (recorded, replayed))
+    if was_kind != kind:
+        names = ("frame", "message") if is_frame else ("journal", "kind")
+        return Difference(time_s, *names, was_kind, kind)
+    place = values_differ(was, now)
+    return None if place is None else Difference(time_s, kind, *place)
 
 
 def values_differ(was: Any, now: Any, path: str = "") -> tuple[str, Any, Any] | None:
@@ -70,37 +69,21 @@ def message_of(frame: bytes) -> Message | None:
     return next(iter(Receiver().feed(frame)), None)
 
 
-def name_of(frame: bytes | None) -> str:
+def name_of(frame: bytes) -> str:
     """The message name of a frame."""
     return str(_of_frame(frame)[0])
 
 
-_Described = tuple[Any, dict[str, Any]]
-"""The kind of a frame or an entry, and its values."""
-
-
-def _differ(
-    time_s: float, kinds: tuple[str, str], was: _Described, now: _Described
-) -> Difference | None:
-    """kinds: how it is said that they are not even of the same kind."""
-    if was[0] != now[0]:
-        return Difference(time_s, *kinds, was[0], now[0])
-    place = values_differ(was[1], now[1])
-    return None if place is None else Difference(time_s, now[0], *place)
-
-
-def _of_frame(frame: bytes | None) -> _Described:
-    """The fields of a message, then its header: who sent it, and how long it is on the wire."""
-    if frame is None:
-        return NOTHING, {}
+def _of_frame(frame: bytes) -> tuple[str, dict[str, Any]]:
+    """The kind of a message, and its fields and header: who sent it, and how long it is."""
     message, header = message_of(frame), {"header": _compared(frame)[:_HEADER_BYTES].hex()}
     if message is None:
         return "frame", header
     return message.get_type(), {n: getattr(message, n) for n in message.fieldnames} | header
 
 
-def _of_line(line: bytes) -> _Described:
-    """The values of an entry; of a line that is none, its bytes as its kind."""
+def _of_line(line: bytes) -> tuple[Any, dict[str, Any]]:
+    """The kind of an entry, and its values; of a line that is none, its bytes as its kind."""
     try:
         entry = json.loads(line)
         return entry["kind"], entry
@@ -108,6 +91,7 @@ def _of_line(line: bytes) -> _Described:
         return line[:_SHOWN_BYTES], {}
 
 
-def _compared(frame: bytes) -> bytes:
-    at = _SEQUENCE.get(frame[0], 0)
-    return frame[:at] + frame[at + 1 : -2]
+def _compared(record: bytes) -> bytes:
+    """What counts of a frame; a line as it is."""
+    at = _SEQUENCE.get(record[0])
+    return record if at is None else record[:at] + record[at + 1 : -2]

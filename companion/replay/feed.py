@@ -16,7 +16,7 @@ from companion.mavlink.link import Input, Output
 from companion.mission import checkpoint
 from companion.mission.mission import Mission
 from companion.mission.start import Resume, Start, SystemId, terrain_of
-from companion.planner.request import PlanOutcome, outcome_of
+from companion.planner.request import outcome_of
 from companion.profiles import PROFILES
 from companion.session import Session
 from companion.sources.files import file_of_run
@@ -25,6 +25,7 @@ from companion.world.known_map import unpacked_map
 
 _Seconds = Annotated[float, Meta(ge=-1e300, le=1e300)]
 _CALLS: Final[dict[str, Any]] = {
+    "start": tuple[Start],
     "receive": tuple[bytes, _Seconds | None],
     "run": tuple[()],
     "silence": tuple[_Seconds],
@@ -35,7 +36,7 @@ _CALLS: Final[dict[str, Any]] = {
     "part_died": tuple[str, str],
     "farewell": tuple[()],
 }
-"""The calls of a session that are inputs, and their arguments."""
+"""The calls of a session that are inputs, and their arguments; the first makes it."""
 _REMARKS: Final[dict[str, Any]] = {
     "unsent": tuple[list[int]],
     "raised": tuple[str, str],
@@ -44,8 +45,6 @@ _REMARKS: Final[dict[str, Any]] = {
 """What the runtime records about a session and its output; it is not fed to the session."""
 SESSION_CALLS: Final = frozenset(_CALLS)
 RUNTIME_RECORDS: Final = frozenset(_REMARKS)
-_NOT_RECORDED: Final = "not recorded any more: "
-"""So the runtime complains once a disk fails or stands still (`runtime.loop`)."""
 MissionOf = Callable[[Start], Mission]
 """The mission that a session flew: by its profile, from wherever it is kept."""
 
@@ -75,18 +74,13 @@ class Feeder:
 
         DamagedInputError: it is not a valid input.  Errors of the session are passed on.
         """
-        if call[0] == "start":
+        name, arguments = call[0], arguments_of(call)
+        if name == "start":
             self._session = None
-            self._session = _session_of(start_of(call), self._mission_of)
+            self._session = _session_of(arguments[0], self._mission_of)
             return None
-        if (why := why_not_recorded(call)) is not None:
-            call = "complain", f"{_NOT_RECORDED}{why}"
-        session, arguments = self.session, arguments_of(call)
-        if call[0] in RUNTIME_RECORDS:
-            return None
-        if call[0] == "deliver":
-            arguments = (answer_of(call),)
-        output = getattr(session, call[0])(*arguments)
+        session = self.session
+        output = None if name in RUNTIME_RECORDS else getattr(session, name)(*arguments)
         return output if isinstance(output, Output) else None
 
 
@@ -125,53 +119,35 @@ def flown_mission(folder: Path) -> MissionOf:
         remedy = "Give the run folder with the mission.toml that was flown."
         raise InputError("terrain", str(file), rule, remedy)
 
-    with suppress(DamagedInputError):  # is found again, at its place
-        mission_of(start_of(next(iter(InputsFile(folder / FILE)), ())))
+    first: Input = next(iter(InputsFile(folder / FILE)), ("",))
+    if first[0] == "start":
+        with suppress(DamagedInputError):  # is found again, at its place
+            mission_of(*arguments_of(first))
     return mission_of
 
 
 def arguments_of(recorded: Input) -> tuple[Any, ...]:
-    """The arguments of a call, or what a remark says.  DamagedInputError: it is neither."""
-    call, *given = recorded
-    try:
-        arguments: tuple[Any, ...] = msgspec.convert(given, (_CALLS | _REMARKS).get(call))
-    except msgspec.ValidationError as error:
-        raise DamagedInputError(f"an input that is none ({call!r:.40})") from error
-    return arguments
+    """The arguments of a call, or what a remark says.  DamagedInputError: it is neither.
 
-
-def why_not_recorded(call: Input) -> str | None:
-    """Why the recording had stopped, if this input says so: the disk failed, or stood still.
-
-    It was an input of its own in builds before 0.3.0.
+    Of a start its `Start`, of a deliver the planner's answer.
     """
-    match call:
-        case "recording_stopped", str(why):
-            return why
-        case "complain", str(text) if text.startswith(_NOT_RECORDED):
-            return text.removeprefix(_NOT_RECORDED)
-        case _:
-            return None
-
-
-def start_of(call: Input) -> Start:
-    """What a session was made of, of a recorded input.  DamagedInputError: it is none."""
+    name, *given = recorded
     try:
-        start = msgspec.convert(call[1], Start)
-        msgspec.convert((start.resume or {}).get("system_id"), SystemId | None)
-    except (IndexError, msgspec.ValidationError) as error:
-        raise DamagedInputError(f"a start that is none ({error})") from error
+        arguments: tuple[Any, ...] = msgspec.convert(given, (_CALLS | _REMARKS).get(name))
+        if name == "start":
+            _check(*arguments)
+        return (outcome_of(*arguments),) if name == "deliver" else arguments
+    except checkpoint.DECODE_ERRORS as error:
+        words = {"start": "a start", "deliver": "an answer of the planner"}
+        what = words.get(name, f"an input {name!r:.40}")
+        raise DamagedInputError(f"{what} that is none ({error!r:.80})") from error
+
+
+def _check(start: Start) -> None:
+    """What the types do not say.  ValueError."""
+    msgspec.convert((start.resume or {}).get("system_id"), SystemId | None)
     if start.profile not in PROFILES:
-        raise DamagedInputError(f"a start that is none (profile {start.profile!r:.40})")
-    return start
-
-
-def answer_of(call: Input) -> PlanOutcome:
-    """The answer of the planner that was delivered.  DamagedInputError: it is none."""
-    try:
-        return outcome_of(call[1])
-    except (IndexError, *checkpoint.DECODE_ERRORS) as error:
-        raise DamagedInputError(f"an answer of the planner that is none ({error!r:.80})") from error
+        raise ValueError(f"profile {start.profile!r:.40}")
 
 
 def _session_of(start: Start, mission_of: MissionOf) -> Session:

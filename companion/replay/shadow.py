@@ -254,7 +254,7 @@ class Watch:
         self.stood_in_s: dict[str, float] = {}
         """Messages that were taken to be good because there are none, and since when."""
         self._stand_ins = _all_is_well(self._vehicle[0], look.autopilot)
-        self._stand_in_due_s: float | None = None
+        self._stand_in_due_s = math.inf
 
     def on_record(self, record: Record) -> None:
         """The next frame of the log, of any sender."""
@@ -288,9 +288,8 @@ class Watch:
 
     def _is_overdue(self) -> bool:
         """Whether a position is missing: until then, what only tells the time is not needed."""
-        overdue_s = _FIRST_OVERDUE_S
-        if len(self._periods) >= _FEW:
-            overdue_s = _OVERDUE * median(self._periods)
+        is_known = len(self._periods) >= _FEW
+        overdue_s = _OVERDUE * median(self._periods) if is_known else _FIRST_OVERDUE_S
         return self._at_s - self._position_s >= overdue_s
 
     def _on_position(self) -> None:
@@ -299,8 +298,7 @@ class Watch:
         if period_s < _LONGEST_PERIOD_S:
             self._periods.append(period_s)
             self._positions_s += period_s
-        if self._stand_in_due_s is None:
-            self._stand_in_due_s = self._at_s + _STAND_IN_AFTER_S
+        self._stand_in_due_s = min(self._stand_in_due_s, self._at_s + _STAND_IN_AFTER_S)
         if self._at_s >= self._stand_in_due_s:
             self._stand_in_due_s = self._at_s + _STAND_IN_S
             for number in self._stand_ins.keys() - self._log.heard:

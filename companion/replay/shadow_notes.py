@@ -1,8 +1,9 @@
 """What a session in shadow would have done, noted as it is fed: holds, plans, health."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Final, final
 
 import numpy as np
@@ -11,6 +12,7 @@ from companion.geodesy import LocalFrame
 from companion.mission import events, journal
 from companion.mission.events import Item, Landed, Vector
 from companion.mission.state import Phase, Reason, State, Vehicle
+from companion.path.subpath import Subpath
 from companion.planner.request import Refusal
 from companion.replay.shadow_report import (
     Hold,
@@ -27,7 +29,6 @@ from companion.telemetry.export.shapes import SubpathPoints
 
 _EVER: Final = -1e8  # before that: not heard of yet
 _BEGINS: Final = "it begins to watch"
-_SILENCE: Final = "silence"
 _AT_END_M: Final = 1.0
 _OFF, _REACHED = "shadow: the vehicle is ", "shadow: target reached"
 """How texts of the mission machine begin that say why it leaves a path."""
@@ -46,12 +47,22 @@ plan's result is reported separately."""
 @final
 @dataclass(slots=True, kw_only=True)
 class _Asked:
-    """A plan that was asked for, and how far the flown track was from it."""
+    """A plan that was asked for, and the positions of the flown track that belong to it."""
 
     attempt: PlanAttempt
-    points: SubpathPoints | None = None
-    off_m: list[tuple[float, float]] = field(default_factory=list)
-    """When, and how far."""
+    subpath: Subpath | None = None
+    track: list[tuple[float, Vector]] = field(default_factory=list)
+
+    def off_m(self) -> Iterator[tuple[float, float]]:
+        """When, and how far the track was from the subpath, up to its end."""
+        if self.subpath is None or not self.track:
+            return
+        points = SubpathPoints(self.subpath)
+        for at_s, position in self.track:
+            off_m, along_m = points.nearest(position)
+            yield at_s, off_m
+            if self.subpath.length_m - along_m < _AT_END_M:
+                return
 
 
 @final
@@ -60,22 +71,18 @@ class Notes:
 
     def __init__(self, report: ShadowReport, frame: LocalFrame) -> None:
         """report: what is noted goes there."""
-        self.report = report
-        self._frame, self._has_mission = frame, report.mission is not None
+        self.report, self._frame = report, frame
         self._vehicle = Vehicle()
+        """As it was when this session was last run."""
         self._heard_s: float | None = None
         """When it was last heard, unless it has been silent since."""
-        self._in_air: bool | None = None
-        self._had_fix = False
         self._spans: dict[str, Observed] = {}
         """What is observed now, by its kind."""
         self._outside: dict[str, float] = {}
         """Limits of the mission that it is beyond, by how much: at the last position believed."""
         self._is_ready = False
-        """Whether it could fly: the position was to be believed, since this session has begun."""
+        """Whether it could fly: the position was to be believed, since the recording goes on."""
         self._hold: Hold | None = None
-        self._position: tuple[float, Vector | None] | None = None
-        """The last one that was looked at, and its vehicle time."""
         self._every: list[_Asked] = []
         self._asked: dict[int, _Asked] = {}
         """Those of this session since the last hold, by their numbers."""
@@ -88,14 +95,14 @@ class Notes:
 
     def begin_again(self) -> None:
         """A new session begins."""
-        self._asked, self._followed, self._position = {}, None, None
+        self._vehicle, self._asked, self._followed = Vehicle(), {}, None
 
     def not_recorded(self, from_s: float, until_s: float) -> None:
         """The log has a gap, and another session begins: nothing in progress goes on."""
         self._outside = {}
-        self._observe(from_s, set())
+        self._observe(from_s, ())
         self._saw("not recorded", from_s, until_s)
-        self._heard_s, self._in_air, self._hold, self._is_ready = until_s, None, None, False
+        self._heard_s, self._hold, self._is_ready = until_s, None, False
         self._cause = _BEGINS
 
     def say(self, at_s: float, text: str) -> None:
@@ -113,35 +120,32 @@ class Notes:
 
         silent_from_s: the vehicle has been silent since then: what it was is not known to go on.
         """
-        state, silent = session.state, silent_from_s is not None
+        state, before = session.state, self._vehicle
         self._vehicle = vehicle = state.vehicle
         for values in entries:
             self._on_entry(at_s, journal.entry_of(values), session)
-        self._look_for_a_hold(at_s, state, silent=silent)
+        self._look_for_a_hold(at_s, state, silent=silent_from_s is not None)
         if silent_from_s is not None:
             self._outside, self._heard_s = {}, None
-            self._observe(silent_from_s, {_SILENCE})
+            self._observe(silent_from_s, ["silence"])
             return
         in_air = is_in_air(vehicle)
         if in_air and self._heard_s is not None:
             self.report.in_air_s += at_s - self._heard_s
-        if in_air is not self._in_air and (self._in_air is not None or in_air):
+        if in_air is not is_in_air(before):
             self.say(at_s, "in the air" if in_air else "on the ground")
-        self._heard_s, self._in_air = at_s, in_air
-        position = vehicle.position_at_s, vehicle.position_nea_m
-        if self._is_ready and (self._position is None or self._position[0] != position[0]):
-            before, self._position = self._position, position
-            self._on_position(at_s, None if before is None else before[1], state)
-        self._observe(at_s, set(self._odd_now()))
+        self._heard_s = at_s
+        if self._is_ready and vehicle.position_at_s != before.position_at_s:
+            self._on_position(at_s, before.position_nea_m, state)
+        self._observe(at_s, self._odd_now())
 
     def finish(self) -> None:
         """The log has ended."""
         report = self.report
-        for asked in self._every:
-            asked.attempt.off = TrackDeviation.of(asked.off_m)
-        report.own_path = TrackDeviation.of(
-            [deviation for asked in self._every for deviation in asked.off_m]
-        )
+        off_m = [[*asked.off_m()] for asked in self._every]
+        for asked, its_m in zip(self._every, off_m, strict=True):
+            asked.attempt.off = TrackDeviation.of(its_m)
+        report.own_path = TrackDeviation.of([*chain(*off_m)])
         for seen in (report.health, report.outside):
             seen.sort(key=lambda observed: observed.from_s)
 
@@ -149,17 +153,12 @@ class Notes:
 
     def _look_for_a_hold(self, at_s: float, state: State, *, silent: bool) -> None:
         """Note where a hold begins and ends."""
-        watching, hold = state.phase is Phase.SHADOW and not silent, self._hold
-        reason = state.reason if watching and state.reason in _DISTRUST else None
+        reason, hold = self._would_hold(state, silent=silent), self._hold
         if not self._is_ready:
-            self._is_ready = watching and reason is None
+            self._is_ready = reason is None
             if self._is_ready and self.report.watched_from_s is None:
                 self.report.watched_from_s = at_s
             return
-        if silent:
-            reason = Reason.LINK_LOST
-        elif not watching:  # it prepares again, or another session does
-            reason = Reason[hold.why[-1].code] if hold else state.reason or Reason.REBOOTED
         if reason is None:
             if hold is not None:
                 hold.went_on_s, hold.trusted_s = at_s, hold.trusted_s or at_s
@@ -171,14 +170,23 @@ class Notes:
                     asked.attempt.outcome = "given up"
             self._asked, self._followed = {}, None
             place, in_air = self._place(state.vehicle.position_nea_m), is_in_air(state.vehicle)
-            hold = Hold(let_go_s=at_s, why=[], place=place, in_air=in_air)
-            self._hold = hold
+            hold = self._hold = Hold(let_go_s=at_s, why=[], place=place, in_air=in_air)
             self.report.holds.append(hold)
         if not hold.why or hold.why[-1].code != reason.name:
             why = HoldReason(at_s=at_s, code=reason.name, text=reason.text, remedy=reason.remedy)
             hold.why.append(why)
-        trusted = watching and state.vehicle.distrust is None
+        trusted = state.vehicle.distrust is None and not silent
         hold.trusted_s = (hold.trusted_s or at_s) if trusted else None
+
+    def _would_hold(self, state: State, *, silent: bool) -> Reason | None:
+        """Why it would hold now; None: it would not."""
+        if silent:
+            return Reason.LINK_LOST
+        if state.phase is Phase.SHADOW:
+            return state.reason if state.reason in _DISTRUST else None
+        if self._hold is not None:  # it prepares again, or another session does
+            return Reason[self._hold.why[-1].code]
+        return state.reason or Reason.REBOOTED
 
     def _on_entry(self, at_s: float, entry: journal.Entry, session: Session) -> None:
         match entry:
@@ -199,7 +207,7 @@ class Notes:
                 self._every.append(self._asked[plan_id])
                 self.report.plans.append(attempt)
             case journal.PlanReady() if (asked := self._asked.get(entry.plan_id)) is not None:
-                asked.points, asked.attempt.outcome = SubpathPoints(entry.subpath), "ready"
+                asked.subpath, asked.attempt.outcome = entry.subpath, "ready"
                 asked.attempt.length_m = entry.length_m
                 asked.attempt.reaches_target = entry.reaches_target
                 if entry.certificate.proven:
@@ -222,7 +230,7 @@ class Notes:
 
     def _judge_parameters(self, session: Session) -> None:
         """Those that are known: of the others the log says nothing, and nobody can be asked."""
-        if session.vehicle is None or not self._has_mission:
+        if session.vehicle is None or self.report.mission is None:
             return
         for finding in session.vehicle.findings:
             if finding.value is not None and finding.set_to is not None:
@@ -242,30 +250,20 @@ class Notes:
             return
         if was_nea_m is not None and vehicle.jumped_at_s == vehicle.position_at_s:
             self._saw("position jumped", at_s, at_s, math.dist(was_nea_m, position))
-        in_air = is_in_air(vehicle)
-        if not in_air:
+        if not is_in_air(vehicle):
             self._followed, self._outside = None, {}
-        elif self._has_mission and vehicle.distrust is None:
-            self._outside = {kind: m for kind, m in _beyond_m(position, state).items() if m > 0.0}
-            if state.phase is Phase.SHADOW and state.reason not in _DISTRUST:
-                self._compare(at_s, position, state)
-
-    def _compare(self, at_s: float, position: Vector, state: State) -> None:
-        """Compare the flown track with the newest subpath, until the next one is followed."""
-        if (leg := state.leg) is not None:
-            self._followed = self._asked.get(leg.plan_id)
-        if (asked := self._followed) is not None and asked.points is not None:
-            off_m, along_m = asked.points.nearest(position)
-            asked.off_m.append((at_s, off_m))
-            if leg is None and (asked.attempt.length_m or 0.0) - along_m < _AT_END_M:
-                self._followed = None
+        elif self.report.mission is not None and vehicle.distrust is None:
+            self._outside = _beyond_m(position, state)
+            if self._hold is None and state.leg is not None:
+                self._followed = self._asked.get(state.leg.plan_id)
+            if self._followed is not None:  # nothing is in a hold
+                self._followed.track.append((at_s, position))
 
     def _odd_now(self) -> Iterator[str]:
         """What is odd about the vehicle's health; before it was ready, only a fix is waited for."""
-        vehicle = self._vehicle
-        self._had_fix = self._had_fix or vehicle.fix_good
+        vehicle, had_fix = self._vehicle, self.report.watched_from_s is not None
         if vehicle.fix_at_s > _EVER and not vehicle.fix_good:
-            yield "GPS fix lost" if self._had_fix else "no GPS fix yet"
+            yield "GPS fix lost" if had_fix else "no GPS fix yet"
         if not self._is_ready:
             return
         if vehicle.estimator_at_s > _EVER and not vehicle.estimator_good:
@@ -275,7 +273,7 @@ class Notes:
         if vehicle.distrust in _DOUBTS:
             yield _DOUBTS[vehicle.distrust]
 
-    def _observe(self, at_s: float, odd: set[str]) -> None:
+    def _observe(self, at_s: float, odd: Iterable[str]) -> None:
         """Begin and end the spans of what is so now, and of what no longer is."""
         now = dict.fromkeys(sorted(odd)) | self._outside
         for kind in self._spans.keys() - now.keys():
@@ -313,7 +311,7 @@ def is_in_air(vehicle: Vehicle) -> bool:
 
 
 def _beyond_m(position: Vector, state: State) -> dict[str, float]:
-    """By how much the vehicle is beyond each bound of the mission; negative: within."""
+    """The bounds of the mission that the vehicle is beyond, and by how much."""
     (north_m, east_m, altitude_m), limits = position, state.task.limits
     (south, north), (west, east) = limits.north_m, limits.east_m
     beyond = {
@@ -325,4 +323,4 @@ def _beyond_m(position: Vector, state: State) -> dict[str, float]:
         where = "outside keep-in" if zone.keep_in else "inside keep-out"
         gap_m = float(zone.distance_m(np.asarray(north_m), np.asarray(east_m)))
         beyond[f"{where} {zone.name}"] = -gap_m
-    return beyond
+    return {kind: by_m for kind, by_m in beyond.items() if by_m > 0.0}

@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC, datetime
 from itertools import groupby
 from typing import Final, Literal, final
@@ -172,31 +172,28 @@ class ShadowReport(Struct, kw_only=True):
 
 def renderables(report: ShadowReport) -> list[RenderableType]:
     """The report, part by part, in the order in which a person wants to know."""
-    observed = ("from", "to", "what", "where")
-    tables = {
-        "where it would have held": (
-            ("let go", "why", "position good", "goes on", "the vehicle itself"),
-            [_hold_row(hold, report) for hold in report.holds],
-        ),
-        "health": (observed, [_observed_row(span) for span in report.health]),
-        "where the mission does not allow it to be": (
-            observed,
-            [_observed_row(span) for span in report.outside],
-        ),
-        "where it would have planned": (
-            ("at", "where", "why", "answer", "flown track off it, max / rms"),
-            list(_plan_rows(report.plans)),
-        ),
-    }
-    shown = [_table(title, *of) for title, of in tables.items() if of[1]]
-    return [*map(Text, _head(report)), *shown, *map(Text, _tail(report))]
+    held = "let go", "why", "position good", "goes on", "the vehicle itself"
+    observed = "from", "to", "what", "where"
+    planned = "at", "where", "why", "answer", "flown track off it, max / rms"
+    forbidden = "where the mission does not allow it to be"
+    holds = (_hold_row(hold, report) for hold in report.holds)
+    return [
+        *map(Text, _head(report)),
+        *_table("where it would have held", held, holds),
+        *_table("health", observed, map(_observed_row, report.health)),
+        *_table(forbidden, observed, map(_observed_row, report.outside)),
+        *_table("where it would have planned", planned, _plan_rows(report.plans)),
+        *map(Text, _tail(report)),
+    ]
 
 
-def _table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+def _table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[Table]:
+    """The table, unless it has no row."""
     table = Table(*headings, title=title, title_justify="left")
     for row in rows:
         table.add_row(*map(Text, row))
-    return table
+    if table.row_count:
+        yield table
 
 
 def _head(report: ShadowReport) -> Iterator[str]:
@@ -224,24 +221,19 @@ def _hold_row(hold: Hold, report: ShadowReport) -> list[str]:
     for why in hold.why:
         reasons.setdefault(why.text, f"{why.at_s:,.1f} s: {why.text}")
     _, *later = reasons.values()
-    until_s = hold.let_go_s + _NEAR_S if hold.went_on_s is None else hold.went_on_s
-    from_s = hold.let_go_s - _MOMENT_S
-    reports = [str(reported) for reported in report.said if from_s <= reported.at_s <= until_s] or [
-        "nothing"
-    ]
-    good, on = (
-        "never" if at_s is None else f"{at_s:,.1f} s" for at_s in (hold.trusted_s, hold.went_on_s)
-    )
+    from_s, until_s = hold.let_go_s - _MOMENT_S, hold.went_on_s or hold.let_go_s + _NEAR_S
+    did = [str(said) for said in report.said if from_s <= said.at_s <= until_s]
     ground = "" if hold.in_air else "\n(on the ground)"
     why_text = "\n".join([first.text, *later, f"-> {first.remedy}"])
-    return [f"{hold.let_go_s:,.2f} s{ground}", why_text, good, on, "\n".join(reports)]
+    let_go, good, on = f"{hold.let_go_s:,.2f} s{ground}", _at(hold.trusted_s), _at(hold.went_on_s)
+    return [let_go, why_text, good, on, "\n".join(did) or "nothing"]
 
 
 def _observed_row(seen: Observed) -> list[str]:
     far = "" if seen.worst_m is None else f", by {seen.worst_m:,.1f} m"
     ground = "" if seen.in_air else " (on the ground)"
-    until = "the end" if seen.until_s is None else f"{seen.until_s:,.1f} s"
-    return [f"{seen.from_s:,.1f} s", until, f"{seen.kind}{far}{ground}", _where(seen.place)]
+    what, until = f"{seen.kind}{far}{ground}", _at(seen.until_s, "the end")
+    return [_at(seen.from_s), until, what, _where(seen.place)]
 
 
 def _plan_rows(plans: Sequence[PlanAttempt]) -> Iterator[list[str]]:
@@ -262,8 +254,8 @@ def _plan_row(asked: PlanAttempt) -> list[str]:
         answer = f"{asked.length_m:,.0f} m" + (", to the target" if asked.reaches_target else "")
     if asked.clearance_m is not None:
         answer += f", clear by {math.floor(asked.clearance_m + 1e-6):,} m"
-    away = "" if off is None else f"{off.max_m:,.1f} / {off.rms_m:,.1f} m to {off.until_s:,.1f} s"
-    return [f"{asked.at_s:,.1f} s", _where(asked.place), asked.why, answer, away]
+    away = "" if off is None else f"{off.max_m:,.1f} / {off.rms_m:,.1f} m to {_at(off.until_s)}"
+    return [_at(asked.at_s), _where(asked.place), asked.why, answer, away]
 
 
 def _tail(report: ShadowReport) -> Iterator[str]:
@@ -274,10 +266,8 @@ def _tail(report: ShadowReport) -> Iterator[str]:
         refused = {asked.reason: asked.remedy for asked in report.plans if asked.reason}
         yield from (f"  {_words(reason)}: {remedy}" for reason, remedy in refused.items())
     if (own := report.own_path) is not None:
-        yield (
-            f"flown track off its own paths: {own.max_m:,.1f} m at most (at {own.max_at_s:,.1f} "
-            f"s), {own.rms_m:,.1f} m rms, over {own.positions:,} positions"
-        )
+        most = f"{own.max_m:,.1f} m at most (at {_at(own.max_at_s)}), {own.rms_m:,.1f} m rms"
+        yield f"flown track off its own paths: {most}, over {own.positions:,} positions"
     yield from (f"could not {reason}" for reason in report.could_not)
     reasons = " ".join(report.could_not)
     for message, without in report.missing.items():
@@ -285,6 +275,10 @@ def _tail(report: ShadowReport) -> Iterator[str]:
             yield f"{message} is missing: {without}. {HOW_TO_RECORD}"
     yield from (f"note: {note}" for note in report.notes)
     yield from (f"log: {finding}" for finding in report.log_findings)
+
+
+def _at(at_s: float | None, never: str = "never") -> str:
+    return never if at_s is None else f"{at_s:,.1f} s"
 
 
 def _words(name: str) -> str:

@@ -18,7 +18,7 @@ from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequ
 from companion.planner.rules import newly_broken
 from companion.planner.settings import Task
 from companion.planning import plan
-from companion.replay.feed import MissionOf, answer_of, outputs
+from companion.replay.feed import MissionOf, arguments_of, outputs
 from companion.views.words import metres_at_least
 
 
@@ -82,7 +82,7 @@ def what_if(
             asked[output.plan.plan_id] = session.now_s, output.plan
         if call[0] != "deliver":
             continue
-        recorded = answer_of(call)
+        [recorded] = arguments_of(call)
         time_s, request = asked.pop(recorded.plan_id, (0.0, None))
         if request is None or request.flown is not None:
             continue

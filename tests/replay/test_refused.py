@@ -15,7 +15,7 @@ from short_flight import fly_short, rewritten, short_mission
 from companion.config import load_mission
 from companion.mission.journal import VERSION
 from companion.replay import actions
-from companion.replay.feed import DamagedInputError, Feeder, start_of
+from companion.replay.feed import DamagedInputError, Feeder
 from companion.telemetry.inputs import FILE, HEADER, Input, InputsFile, packed
 
 Damage = Callable[[Path], object]
@@ -127,7 +127,7 @@ def test_what_is_nothing_that_a_session_is_told_is_named(run_dir: Path) -> None:
             feeder.take(told)
     for change in NO_STARTS:
         with pytest.raises(DamagedInputError, match="a start that is none"):
-            start_of((start[0], {**start[1], **change}))
+            feeder.take((start[0], {**start[1], **change}))
 
 
 def test_an_elevation_file_that_has_changed_is_said_in_one_line(
