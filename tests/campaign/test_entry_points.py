@@ -80,7 +80,7 @@ def test_its_optimiser_flies_named_in_a_mission_file_or_asked_for(tmp_path: Path
 
 
 def test_its_planner_flies() -> None:
-    found = fly_alone(families.world("copter", 5, 1), "straight", knowledge="full")
+    found = fly_alone(families.world("short-copter", 1, 0), "straight", knowledge="full")
     assert len(found.points_nea_m) > 1  # the straight line is barred in every drawn world
 
 
