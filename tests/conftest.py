@@ -45,13 +45,14 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Without --all nothing nightly runs; what a file makes once is made by one worker.
 
-    Flights come first: whoever begins the last of them late keeps the other workers waiting.
+    What takes long comes first: whoever begins it late keeps the other workers waiting.
     """
     if not config.getoption("--all"):
         nightly = set(_nightly(items))
         config.hook.pytest_deselected(items=[item for item in items if item in nightly])
         items[:] = [item for item in items if item not in nightly]
-    items.sort(key=lambda item: item.path.parent.name not in ("closed_loop", "interop"))
+    long = ("closed_loop", "interop", "test_release.py")
+    items.sort(key=lambda item: not {item.path.parent.name, item.path.name}.intersection(long))
     for item in items if config.pluginmanager.hasplugin("xdist") else ():
         if not item.get_closest_marker("xdist_group"):
             file = item.path.relative_to(config.rootpath).with_suffix("")

@@ -3,13 +3,11 @@
 from typing import Any
 
 import pytest
-from companion_receive import HANDLED, Recording, Run, Target, restored, saved
+from companion_receive import HANDLED, Run, Target, saved
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 from random_programs import intact
-
-from companion.session import Session
 
 COPTER, PX4, LOCKSTEP = 0, 2, 4
 TARGET = Target()
@@ -20,12 +18,10 @@ GROWTH = 200_000
 """Bytes that a flood may add to a session: texts, tables and queues that are not empty."""
 
 
-def in_flight(which: int) -> tuple[Session, list[bytes]]:
-    """A session in the middle of its flight, and what the vehicle said from then on."""
-    recording: Recording = TARGET.recording(which)
-    moments = [moment for moment in recording.moments if moment[1] == "flying"]
-    tick, _, session = moments[len(moments) // 2]
-    return restored(session), recording.heard[tick:]
+def in_flight(which: int) -> Run:
+    """A session and its vehicle in the middle of their flight."""
+    moments = [moment for moment in TARGET.moments(which) if moment.phase == "flying"]
+    return moments[len(moments) // 2].again()
 
 
 @settings(max_examples=100)
@@ -39,8 +35,8 @@ def test_nothing_is_raised_and_no_nonsense_is_sent_whatever_happens(program: byt
 @pytest.mark.parametrize("number", HANDLED, ids=lambda number: mavlink.mavlink_map[number].msgname)
 def test_a_flood_of_one_message_does_not_pile_up(which: int, number: int) -> None:
     """Each different, from the autopilot and from a ground station, all answered at once."""
-    session, telemetry = in_flight(which)
-    run = Run(session, telemetry)
+    run = in_flight(which)
+    session = run.session
     kind: Any = mavlink.mavlink_map[number]
     size, before = kind.unpacker.size, len(saved(session))
     for k in range(FLOOD):
@@ -56,10 +52,10 @@ def test_a_flood_of_one_message_does_not_pile_up(which: int, number: int) -> Non
 
 @pytest.mark.parametrize("which", [COPTER, pytest.param(LOCKSTEP, marks=pytest.mark.nightly)])
 def test_what_comes_faster_than_it_is_handled_is_dropped(which: int) -> None:
-    session, telemetry = in_flight(which)
-    before = len(saved(session))
-    portion = b"".join(telemetry[:10])
+    run = in_flight(which)
+    session, before = run.session, len(saved(run.session))
+    portion = b"".join(run.heard() for _ in range(10))
     for _ in range(1_000):
         session.receive(portion, 1000.0)
     assert len(saved(session)) < before + 1_000 * len(portion) + INBOX
-    Run(session, telemetry).run()
+    run.run()

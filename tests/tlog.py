@@ -1,7 +1,7 @@
 """Telemetry logs (.tlog), frame by frame: read by pymavlink's parser alone, or as we read ours."""
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -40,3 +40,9 @@ def messages(folder: Path) -> list[Any]:
 def recorded_frames(path: Path) -> list[tuple[int, bytes]]:
     """Stamp, in microseconds, and frame of each record, as the companion reads its own log."""
     return list(Records(path))
+
+
+def written(path: Path, records: Iterable[tuple[int, bytes]]) -> Path:
+    """A log of these."""
+    path.write_bytes(b"".join(struct.pack(">Q", us) + frame for us, frame in records))
+    return path

@@ -3,17 +3,15 @@
 import tempfile
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from companion.campaign import drawn_faults, drawn_world, families, in_process, judge
+from companion.campaign import drawn_faults, drawn_world, families, judge
 from companion.campaign.drawn_faults import FAMILIES, FaultScript, Way, ways
 from companion.campaign.in_process import Flight
 from companion.config import load_mission
-from companion.errors import InputError
 from companion.mission.state import Reason
 from companion.world.zones import CircleZone
 from vehicle_sim import faults
@@ -122,6 +120,10 @@ def there(*seconds: tuple[int, tuple[float, float]]) -> Places:
     return [*(place for count, place in seconds for _ in range(count)), TARGET]
 
 
+def with_task(**changes: Any) -> Any:
+    return replace(DRAWN, task=replace(DRAWN.task, **changes))
+
+
 INSIDE, OUTSIDE = (-1_200.0, -1_200.0), (-1_150.0, -1_200.0)  # of a circle of 30 m that is drawn
 FENCE, AWAY = "at 2.0 s: ground_fence 30 m", [(TARGET[0] - 200.0, TARGET[1])] * 3
 TOO_LOW = "at 0 s: radar_noise 5 m either_way"
@@ -138,7 +140,11 @@ BEFORE = there((3, INSIDE), (2, OUTSIDE), (2, INSIDE), (10, OUTSIDE))
 BACK = {"by_others": range(5, 38)}
 THERE = [TARGET] * 3
 ALONE = "unexplained: left in guided mode"
-JUDGED: dict[str, tuple[Places, str, dict[str, Any], int, str]] = {
+# on a circle of 40 m a turn takes 31 s at 8 m/s; a copter has to be out after 33 s
+PLANE = {"world": with_task(limits=replace(DRAWN.task.limits, loiter_radius_m=40.0))}
+COUNTY = CircleZone(name="in", north_m=-1_200.0, east_m=0.0, radius_m=50.0, keep_in=True)
+COUNTY_ALONE = {"kind": "say", "world": with_task(zones=(COUNTY,))}
+JUDGED: dict[str, tuple[Places, str | None, dict[str, Any], int, str]] = {
     "as near as the safety distance": (there((3, beside(12.2))), "", {}, 0, ""),
     "nearer": (there((3, beside(11.5))), "", {}, 1, ""),
     "inside": (there((3, beside(-3.0))), "", {}, 1, ""),
@@ -155,6 +161,11 @@ JUDGED: dict[str, tuple[Places, str, dict[str, Any], int, str]] = {
     "one that was left before it was known": (BEFORE, FENCE, {}, 0, ""),
     "one that is left": (there(*LEFT), FENCE, {}, 0, ""),
     "and entered again": (there(*LEFT, (1, INSIDE)), FENCE, {}, 1, ""),
+    "one that a plane turns in once": (there((60, INSIDE)), FENCE, PLANE, 0, ""),
+    "one that a plane does not leave": (there((80, INSIDE)), FENCE, PLANE, 1, ""),
+    "within a keep-in": ([(-1_200.0, 37.0)] * 3, None, COUNTY_ALONE, 0, ""),
+    "near its edge": ([(-1_200.0, 39.0)] * 3, None, COUNTY_ALONE, 1, ""),
+    "outside it": ([(-1_200.0, 60.0)] * 3, None, COUNTY_ALONE, 1, ""),
     # the time for that begins when it is given back
     "given back inside": (there((52, INSIDE)), FENCE, BACK, 0, ""),
     "given back, and not left": (there((70, INSIDE)), FENCE, BACK, 1, ""),
@@ -180,29 +191,13 @@ def test_what_it_could_know_of_and_did_violates_and_so_does_an_unsafe_end(case: 
     limits, settings = DRAWN.task.limits, DRAWN.task.settings
     assert (settings.safety_distance_m, limits.navigation_error_m) == (SAFETY_M, ERROR_M)
     places, timeline, more, violations, ending = JUDGED[case]
-    row = judge.judged(flight(places, **more), DRAWN, timeline)
+    world = more.get("world", DRAWN)
+    changes = {name: value for name, value in more.items() if name != "world"}
+    row = judge.judged(flight(places, **changes), world, timeline)
     assert row["violations"] == violations
-    assert ending in ("", row["ending"])
+    assert ending in ("", row.get("ending"))
     if "told_off_m" in more:
         assert (row["excused"] is None) == bool(violations)
-
-
-def with_task(**changes: Any) -> Any:
-    return replace(DRAWN, task=replace(DRAWN.task, **changes))
-
-
-def test_a_plane_may_turn_once_before_it_leaves_a_new_fence() -> None:
-    """On a circle of 40 m a turn takes 31 s at 8 m/s; a copter has to be out after 33 s."""
-    plane = with_task(limits=replace(DRAWN.task.limits, loiter_radius_m=40.0))
-    for seconds, violations in ((60, 0), (80, 1)):
-        assert len(violated(flight(there((seconds, INSIDE))), FENCE, plane)) == violations
-
-
-def test_who_leaves_a_keep_in_violates_it() -> None:
-    fence = CircleZone(name="in", north_m=-1_200.0, east_m=0.0, radius_m=50.0, keep_in=True)
-    for off_m, violations in ((37.0, 0), (39.0, 1), (60.0, 1)):
-        flown = flight([(-1_200.0, off_m)] * 3, kind="say")
-        assert len(violated(flown, None, with_task(zones=(fence,)))) == violations
 
 
 def test_what_was_planned_before_an_excuse_is_checked_whole() -> None:
@@ -262,12 +257,3 @@ def test_faults_are_judged_in_lidar_missions_too() -> None:
     for row in touching.truth:
         row["mode"] = "LOITER"  # a pilot
     assert said in judge.judged(touching, world, "")["excused"]
-
-
-def test_without_a_simulator_that_can_say_what_may_go_wrong_there_is_none(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    older = [SimpleNamespace(load=lambda: print)]
-    monkeypatch.setattr(in_process, "entry_points", lambda **_: older)
-    with pytest.raises(InputError, match="Install the project again"):
-        in_process.simulator.__wrapped__()

@@ -1,6 +1,7 @@
 """No program outlives the test that began it, and the flight over the hills is flown once."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from flights import FAULTS, HILLS, HILLS_MISSION, RUNNING, SEED, Recorded, flown_here
@@ -16,5 +17,8 @@ def _none_is_left_running() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def hills(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     """The flight over the hills, in this process; who looks at it is of the group `hills`."""
-    folder = tmp_path_factory.mktemp("hills") / "run"
-    return flown_here(folder, HILLS, HILLS_MISSION, FAULTS, SEED)
+    folder, text = tmp_path_factory.mktemp("hills"), Path(HILLS_MISSION).read_text("utf-8")
+    for far, near in ("north_m = 26000.0", "north_m = 18000.0"), ("24000.0", "20000.0"):
+        text = text.replace(far, near, 1)  # past the mountain, and no farther
+    (folder / "mission.toml").write_text(text, encoding="utf-8")
+    return flown_here(folder / "run", HILLS, folder / "mission.toml", FAULTS, SEED)

@@ -44,6 +44,11 @@ class Recorded:
     folder: Path
 
     @property
+    def mission(self) -> Path:
+        """As flown."""
+        return self.folder / "mission.toml"
+
+    @property
     def journal(self) -> list[dict[str, Any]]:
         """All entries that are whole by now, and the header of each life."""
         file = self.folder / "journal.jsonl"

@@ -53,7 +53,7 @@ from vehicle_sim.world import read_world
 pytestmark = [pytest.mark.closed_loop, pytest.mark.xdist_group("hills")]
 TICK_S = 0.15  # a position, and its rounding
 WIDTH = 80
-MOST_BYTES = 1_300_000
+MOST_BYTES = 1_000_000
 """The operating system refuses more than so many bytes of any file of the companion's."""
 FLY = (
     f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({MOST_BYTES},) * 2)\n"
@@ -72,7 +72,7 @@ def test_a_flight_arrives_by_proven_legs_and_its_true_track_keeps_every_bound(
     assert len(legs) >= len(hills.entries("leg")) > 2
     assert all(leg["certificate"]["broken"] == [] for leg in legs)
     assert {leg["kernel"].split()[0] for leg in legs} == {"numba"}
-    margins = true_track.judge_files(Path(HILLS), Path(HILLS_MISSION), hills.folder / "truth.jsonl")
+    margins = true_track.judge_files(Path(HILLS), hills.mission, hills.folder / "truth.jsonl")
     assert min(margins.values()) >= 0.0, margins
     assert hills.truth[-1]["mode"] == "BRAKE"
 
@@ -142,7 +142,7 @@ class Shown(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def shown(tmp_path_factory: pytest.TempPathFactory) -> Shown:
+def shown(tmp_path_factory: pytest.TempPathFactory, hills: Recorded) -> Shown:
     folder, port = tmp_path_factory.mktemp("shown"), free_port()
     (folder / "faults.txt").write_text(FAULTS, encoding="utf-8")
     screen, terminal = pty.openpty()
@@ -151,7 +151,7 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> Shown:
     how = f"--seed {SEED} --start --lockstep --json --connect udpin:127.0.0.1:{port} --out run"
     with (folder / "lines.json").open("wb") as lines:
         us = subprocess.Popen(
-            [sys.executable, "-c", FLY, "fly", HILLS_MISSION, *how.split()],
+            [sys.executable, "-c", FLY, "fly", hills.mission, *how.split()],
             stdin=terminal, stdout=lines, stderr=terminal, cwd=folder,
             env={**ENVIRONMENT, "TERM": "xterm-256color", "COLUMNS": f"{WIDTH}"},
         )  # fmt: skip

@@ -93,9 +93,10 @@ def test_a_plan_over_stated_ground_is_flown_at_its_altitudes(
 # --- a fence that is drawn in flight; by upload: `tests/interop`, `tests/vehicle_sim`
 
 ADOPTED_S = 10.0
-BOX_M = (-150.0, 800.0, -150.0, 900.0)
+BOX_M = (-150.0, 450.0, -150.0, 500.0)
 """South, north, west and east of what is never left."""
-BEFORE, LATER = (300.0, 50.0, 60.0), (540.0, 460.0, 50.0)
+ENDS_NE_M = (300.0, 50.0), (250.0, 350.0)
+BEFORE, LATER = (150.0, 25.0, 40.0), (275.0, 200.0, 40.0)
 """North, east and radius of what is kept out of, metres: on the straight ways to the first and to
 the second target; that is drawn when the first is 20 m away."""
 
@@ -118,7 +119,7 @@ def test_the_true_track_keeps_away_from_what_a_fence_has_before_and_gets_in_flig
 ) -> None:
     """A plane: the golden flight `plane-meets-new-fence`."""
     mission, drawn_s = load_mission("sitl-px4"), list[float]()
-    mission = replace(mission, targets_ne_m=mission.targets_ne_m[:2])
+    mission = replace(mission, targets_ne_m=ENDS_NE_M)
     session = Session(mission, seed=1, lockstep=True)
     vehicle = Simulation(read_world(ENVIRONMENTS / "sitl-px4" / "world.toml"), seed=1)
     vehicle.plans[PlanKind.FENCE] = items_of(mission, BEFORE)

@@ -36,23 +36,24 @@ SHORTER: dict[str, Any] = {
     },
     "planner": {"scan_range_m": 200.0},
     "battery": {"reserve_percent": 2},
-    "targets": [{"north_m": 300.0, "east_m": 100.0}, {"north_m": 300.0, "east_m": 400.0}],
 }
 """Tables of a mission with more joins, and a battery that lasts."""
 
 
 @pytest.mark.parametrize(
-    ("name", "moments"),
+    ("name", "moments", "far_m"),
     [
-        ("sitl-arducopter", ["in a leg"]),  # at any: `tests/mission/test_kinds.py`
-        pytest.param("sitl-px4", [*WHEN], marks=NIGHTLY),  # a plane: a golden flight
+        ("sitl-arducopter", ["in a leg"], 120.0),  # at any: `tests/mission/test_kinds.py`
+        pytest.param("sitl-px4", [*WHEN], 300.0, marks=NIGHTLY),  # a plane: a golden flight
     ],
 )
 def test_it_arrives_however_often_it_was_killed_and_is_armed_once(
-    name: str, moments: list[str], tmp_path: Path
+    name: str, moments: list[str], far_m: float, tmp_path: Path
 ) -> None:
     """Journal and log hold all lives: in lockstep the vehicle waits for the next one."""
-    folder, mission = tmp_path / "run", mission_file(name, tmp_path / f"{name}.toml", **SHORTER)
+    targets = [{"north_m": far_m, "east_m": 100.0}, {"north_m": far_m, "east_m": 100.0 + far_m}]
+    file, folder = tmp_path / f"{name}.toml", tmp_path / "run"
+    mission = mission_file(name, file, **SHORTER, targets=targets)
     flight = launch(folder, ENVIRONMENTS / name / "world.toml", mission, "--resume", "--system", 1)
     for moment in moments:
 

@@ -100,13 +100,6 @@ def clearance_m(points_nea_m: FloatArray, height_m: Heights, near_m: float, step
     return float(least_m)
 
 
-def distances_m(track_nea_m: FloatArray, centre_nea_m: FloatArray) -> FloatArray:
-    """Of the straight pieces of a track from a point.  (N, 3), (3,) -> (N - 1,)."""
-    pieces, away = np.diff(track_nea_m, axis=0), centre_nea_m - track_nea_m[:-1]
-    along = np.sum(away * pieces, axis=-1) / np.maximum(np.sum(pieces**2, axis=-1), 1e-12)
-    return np.linalg.norm(away - np.clip(along, 0.0, 1.0)[:, None] * pieces, axis=-1)
-
-
 def keep_out_m(points_nea_m: FloatArray, keep_out: dict[str, Any]) -> FloatArray:
     """Horizontal distance to a circle or polygon, negative inside.  (P, 3) -> (P,)."""
     places = shapely.points(points_nea_m[:, :2])
@@ -179,7 +172,7 @@ def judge(
     }
     for radar in world.get("radars", ()):
         centre = np.array([radar[key] for key in ("north_m", "east_m", "altitude_amsl_m")])
-        margins[radar["name"]] = distances_m(track_nea_m, centre).min() - radar["range_m"]
+        margins[radar["name"]] = cKDTree(points).query(centre)[0] - radar["range_m"]
     for number, zone in enumerate(mission.get("keep_outs", ())):
         margins[f"keep-out {number}, m"] = keep_out_m(points, zone).min() - low * safety_m
     return {name: float(margin) for name, margin in margins.items()}

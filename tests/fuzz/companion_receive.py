@@ -1,12 +1,13 @@
 """The companion's receive path under arbitrary input: what the fuzzer and the tests call.
 
-A flight with each kind of simulated autopilot is recorded once: what the vehicle said, and what
-the companion was then, every three seconds.  An input chooses one of these moments and goes on from
-there: telemetry of the recording, raw bytes, intact frames of anybody with any payload, silence,
-plans, parts that die.  So the fuzzer gets past the checksums and into every phase, and one input
+It flies each kind of simulated autopilot once; every ten seconds and where a phase begins, both
+ends are kept.  An input chooses one of these moments, and both fly on from there: with raw bytes,
+intact frames of anybody with any payload, the vehicle's own with other values, other plans in it,
+silence, parts that die.  So the fuzzer gets past the checksums and into every phase, and one input
 always does the same.
 """
 
+import copy
 import copyreg
 import io
 import json
@@ -14,13 +15,23 @@ import math
 import pickle
 import struct
 import time
-from collections import deque
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import scripted_vehicle
 from pymavlink.dialects.v20 import all as mavlink
-from random_programs import COMMANDS, MESSAGES, VALUES, Reader, command, intact, message_numbers
+from random_programs import (
+    COMMANDS,
+    FAULTS,
+    MESSAGES,
+    VALUES,
+    Reader,
+    any_frame,
+    command,
+    intact,
+    message_numbers,
+    plan_items,
+)
 
 from companion.config import load_mission
 from companion.geodesy import LocalFrame
@@ -33,10 +44,13 @@ from companion.mission.mission import EndAction, Mission
 from companion.planner.request import Backtrack, NotPlanned, PlanOutcome, PlanRequest, Refusal
 from companion.session import Session
 from companion.telemetry.run_folder import journal_line
+from vehicle_sim.parameters import Parameter
+from vehicle_sim.plans import PlanKind
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import flat_world
 
 copyreg.pickle(struct.Struct, lambda each: (struct.Struct, (each.format,)))
+copyreg.pickle(Parameter, lambda row: row.name)  # never changes: copies share it
 
 PERSONALITIES = (
     ("ardupilot", "copter", "sitl-arducopter", False),
@@ -58,29 +72,13 @@ HANDLED = message_numbers(
 )
 ORDERS = (192, 193, 21, 20, 300, 192, 512, 519, 520)
 SENDERS = ((1, 1), (1, 1), (1, 1), (1, 1), (255, 190), (1, 100), (1, 195), (2, 1), (1, 191), (0, 0))
-ITEM_COMMANDS = (16, 17, 19, 20, 21, 22, 82, 5000, 5001, 5002, 5003, 5004, 5100)
-MODES = (0, 4, 5, 9, 10, 11, 15, 17, 4 << 16 | 3 << 24, 6 << 16, 4 << 16 | 2 << 24, 0xFFFFFFFF)
 SLOWEST_S = 20.0
 """An input that takes longer is called a hang: honest ones take less than a second."""
 MOST_TICKS = 300
 LARGEST_SESSION = 4_000_000
 """Of a session after an input, in bytes: the known map is most of an honest one."""
-_ANSWERS = {
-    "MISSION_REQUEST_LIST": mavlink.MAVLINK_MSG_ID_MISSION_COUNT,
-    "MISSION_REQUEST_INT": mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT,
-    "PARAM_REQUEST_READ": mavlink.MAVLINK_MSG_ID_PARAM_VALUE,
-    "PARAM_SET": mavlink.MAVLINK_MSG_ID_PARAM_VALUE,
-    "TERRAIN_REQUEST": mavlink.MAVLINK_MSG_ID_TERRAIN_DATA,
-    "COMMAND_LONG": mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
-    "COMMAND_INT": mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
-}
-"""To what the companion asks."""
-_OF_LISTS = ("MISSION_REQUEST_LIST", "MISSION_REQUEST_INT")
-"""Those that a tick answers by itself; the vehicle's own answers are left out of the recordings."""
-_LISTS = message_numbers("MISSION_COUNT MISSION_ACK MISSION_ITEM_INT")
-_TICK_S, _TICK_STEPS, _MOMENT_TICKS, _LONGEST_S = 0.1, 10, 30, 240.0
+_TICK_S, _TICK_STEPS, _MOMENT_TICKS, _LONGEST_S = 0.1, 10, 100, 240.0
 _STATION = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
-_VEHICLE = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
 _FINITE = (
     *("SET_POSITION_TARGET_GLOBAL_INT", "SET_POSITION_TARGET_LOCAL_NED"),
     *("PARAM_VALUE", "PARAM_SET"),
@@ -146,38 +144,40 @@ def restored(content: bytes) -> Session:
 # --- the flights
 
 
-@dataclass(frozen=True, slots=True)
-class Recording:
-    """One flight: what came in at each tick, and what the session was before some of them."""
+class Moment(NamedTuple):
+    """Of a flight."""
 
-    heard: list[bytes]
-    moments: list[tuple[int, str, bytes]]
-    """Tick, phase and session, pickled: all three seconds, and where a phase begins."""
+    phase: str
+    session: bytes
+    vehicle: Simulation
+
+    def again(self) -> "Run":
+        """Both go on from there."""
+        return Run(restored(self.session), copy.deepcopy(self.vehicle))
 
 
 class Target:
-    """A recorded flight of each personality, to go on from at any moment."""
+    """A flight of each personality, to go on from at any moment."""
 
     def __init__(self) -> None:
-        self._recordings: dict[int, Recording] = {}
+        self._moments: dict[int, list[Moment]] = {}
 
-    def recording(self, which: int) -> Recording:
-        if which not in self._recordings:
-            self._recordings[which] = _flown(*PERSONALITIES[which])
-        return self._recordings[which]
+    def moments(self, which: int) -> list[Moment]:
+        if which not in self._moments:
+            self._moments[which] = _flown(*PERSONALITIES[which])
+        return self._moments[which]
 
     def prepare(self) -> None:
-        """Fly and record before the first input."""
+        """Fly before the first input."""
         for which in range(len(PERSONALITIES)):
-            self.recording(which)
+            self.moments(which)
 
     def play(self, data: bytes) -> None:
         """Let one input run; an exception, a hang or nonsense that is sent is a finding."""
         reader = Reader(data)
-        recording = self.recording(reader.byte() % len(PERSONALITIES))
+        moments = self.moments(reader.byte() % len(PERSONALITIES))
         start_s = time.perf_counter()
-        tick, _, session = recording.moments[reader.byte() % len(recording.moments)]
-        run = Run(restored(session), recording.heard[tick:])
+        run = moments[reader.byte() % len(moments)].again()
         while reader.left:
             run.step(reader)
         run.end()
@@ -186,51 +186,38 @@ class Target:
             raise TimeoutError(f"{took_s:.1f} s for {len(data)} bytes")
 
 
-def _flown(autopilot: Any, kind: Any, name: str, lockstep: bool) -> Recording:
-    """Fly the mission with the simulator as the other end."""
-    flown = mission(name)
+def _flown(autopilot: Any, kind: Any, name: str, lockstep: bool) -> list[Moment]:
+    """Fly the mission."""
+    flown, moments = mission(name), list[Moment]()
     home_m = flown.task.limits.floor_amsl_m - 26.0  # below the band, as all these missions have it
     world = flat_world(
         kind, autopilot, **PLACE, altitude_amsl_m=home_m, heading_deg=0.0, scan_range_m=1_000.0
     )
-    vehicle, session = Simulation(world), Session(flown, seed=1, lockstep=lockstep, go=True)
-    run, recording = Run(session, [], vehicle), Recording([], [])
-    while len(recording.heard) * _TICK_S < _LONGEST_S:
-        for _ in range(_TICK_STEPS):
-            vehicle.step()
-        if lockstep:
-            vehicle.ask_for_sync()
-        frames = [frame for _, frame in vehicle.take_frames()]
-        phase = session.state.phase.value
-        if len(recording.heard) % _MOMENT_TICKS == 0 or phase != recording.moments[-1][1]:
-            recording.moments.append((len(recording.heard), phase, saved(session)))
-        recording.heard.append(b"".join(frame for frame in frames if frame[7] not in _LISTS))
-        run.receive(b"".join(frames), len(recording.heard) * _TICK_S)
+    run = Run(Session(flown, seed=1, lockstep=lockstep, go=True), Simulation(world))
+    for tick in range(round(_LONGEST_S / _TICK_S)):
+        phase = run.session.state.phase.value
+        if tick % _MOMENT_TICKS == 0 or phase != moments[-1].phase:
+            run.vehicle.take_truth()
+            run.vehicle.take_notices()
+            moments.append(Moment(phase, saved(run.session), copy.deepcopy(run.vehicle)))
+        run.ticks = 0
+        run.tick()
         if run.is_over:
             break
-    return recording
+    return moments
 
 
 # --- what happens
 
 
 class Run:
-    """One session, from one moment on; told to a vehicle, if there is one."""
+    """A session and its vehicle, from one moment on."""
 
-    def __init__(
-        self, session: Session, telemetry: list[bytes], vehicle: Simulation | None = None
-    ) -> None:
-        self.session, self._vehicle = session, vehicle
-        self.is_over = False
-        self._telemetry = iter(telemetry)
-        self._at_s = 1000.0
-        self._asked: PlanRequest | None = None
-        self._questions = deque[Any](maxlen=20)
-        """What the companion has asked the vehicle for lately."""
-        self._lists: dict[int, list[dict[str, float]]] = {}
-        """What the autopilot holds from now on: mission, fence and rally points."""
+    def __init__(self, session: Session, vehicle: Simulation) -> None:
+        self.session, self.vehicle = session, vehicle
+        self.ticks, self.is_over = 0, False
         self._silent_s = 0.0
-        self._ticks = 0
+        self._asked: PlanRequest | None = None
 
     def step(self, reader: Reader) -> None:
         """One thing that happens."""
@@ -249,15 +236,14 @@ class Run:
             case 5:
                 self.other(reader)
             case 6:
-                self.receive(_heartbeat(reader))
+                self.vehicle.add_fault(FAULTS[reader.byte() % len(FAULTS)])
             case 7:
                 for _ in range(1 + reader.byte() % 60):
-                    asked, self._questions = list(self._questions), deque[Any](maxlen=20)
-                    for question in asked[:4]:
-                        self.receive(_answer(question, self._lists, reader))
-                    self.tick()
+                    self.tick(reader)
             case 8:
-                self._lists[reader.byte() % 3] = _list(reader)
+                self.vehicle.plans[PlanKind(reader.byte() % 3)] = plan_items(
+                    reader, tuple(PLACE.values())
+                )
             case _:
                 self.receive(self.frame(HANDLED[reader.byte() % len(HANDLED)], reader))
 
@@ -282,38 +268,42 @@ class Run:
                 assert all(len(frame) <= 305 for frame in session.hold_frames())
         self.run()
 
-    def tick(self) -> None:
-        """A tenth of a second of the recording, and the plan that is due."""
-        self._ticks += 1
-        if self._ticks > MOST_TICKS:
+    def heard(self, reader: Reader | None = None) -> bytes:
+        """What the vehicle says in the next tenth of a second; some of it with other values."""
+        for _ in range(_TICK_STEPS):
+            self.vehicle.step()
+        if self.session._lockstep:
+            self.vehicle.ask_for_sync()
+        frames = [frame for _, frame in self.vehicle.take_frames()]
+        for k in range(len(frames)) if reader is not None else ():
+            if reader.left and reader.byte() % 4 == 0:
+                frames[k] = _other_values(frames[k], reader)
+        return b"".join(frames)
+
+    def tick(self, reader: Reader | None = None) -> None:
+        """That, and the plan that is due."""
+        self.ticks += 1
+        if self.ticks > MOST_TICKS:
             return
-        heard = next(self._telemetry, None)
-        self._at_s += _TICK_S
-        if heard is not None:
-            self.receive(heard)
-        of_lists = [each for each in self._questions if each.get_type() in _OF_LISTS]
-        for question in of_lists:
-            self._questions.remove(question)
-            self.receive(_answer(question, self._lists, Reader(b"")))
+        self.receive(self.heard(reader))
         if self._asked is not None:
             self._plan()
             self.run()
 
-    def receive(self, data: bytes, at_s: float | None = None) -> None:
-        if self.session.receive(data, self._at_s if at_s is None else at_s):
+    def receive(self, data: bytes) -> None:
+        if self.session.receive(data, 1000.0 + 1e-6 * self.vehicle.now_us):
             self._silent_s = 0.0
         self.run()
 
     def run(self) -> None:
         for _ in range(4):
             out = self.session.run()
-            self._asked = out.plan or self._asked
-            self._questions += [each for each in _check(out) if each.get_type() in _ANSWERS]
-            for frame in out.frames if self._vehicle is not None else ():
-                self._vehicle.receive(0, frame)
+            check(out)
+            for frame in out.frames:
+                self.vehicle.receive(0, frame)
             self.is_over = out.end is not None and out.settled
-            waits = out.awaits_plan or self._vehicle is not None
-            if not waits or self._asked is None:
+            self._asked = out.plan or self._asked
+            if self._asked is None or not out.awaits_plan:
                 break
             self._plan()
 
@@ -323,34 +313,22 @@ class Run:
         self.session.deliver(straight_plan(asked))
 
     def frame(self, number: int, reader: Reader) -> bytes:
-        """Of anybody, with any payload; often at this time, and with numbers that nobody sends."""
-        kind: Any = mavlink.mavlink_map[number]
-        size = kind.unpacker.size
-        payload, how = reader.bytes(reader.byte() % (size + 1)).ljust(size, b"\0"), reader.byte()
-        values: dict[str, float] = {}
-        if how & 1:
-            names = zip(kind.fieldnames, kind.fieldtypes, strict=True)
-            values = {name: reader.value() for name, form in names if form == "float"}
-        if how & 2:
-            now_ms = max(round(self.session.now_s * 1e3), 0)
-            values["time_boot_ms"] = (now_ms + reader.byte()) % 2**32
-        sender, target = SENDERS[reader.byte() % len(SENDERS)], (1, 195) if how & 12 else None
-        return intact(number, payload, sender, target=target, values=values)
+        """Of anybody, with any payload."""
+        return any_frame(number, reader, SENDERS, (1, 195), now_s=self.session.now_s)
 
     def end(self) -> None:
         for _ in range(5):
             self.tick()
         size = len(saved(self.session))
         assert size < LARGEST_SESSION, f"the session has grown to {size} bytes"
-        _check(self.session.farewell())
+        check(self.session.farewell())
 
 
-def _check(out: Output) -> list[Any]:
+def check(out: Output) -> None:
     """What is sent: whole frames with numbers in them, and a journal that can be read again."""
-    receiver, sent = Receiver(), []
+    receiver = Receiver()
     for frame in out.frames:
         [message] = receiver.feed(frame)
-        sent.append(message)
         assert (message.get_srcSystem(), message.get_srcComponent()) == (1, 195)
         for value in (getattr(message, name) for name in message.fieldnames):
             assert not isinstance(value, float) or not math.isinf(value), message
@@ -366,58 +344,16 @@ def _check(out: Output) -> list[Any]:
         json.loads(journal_line(entry))
     if out.checkpoint is not None:
         json.dumps(out.checkpoint, allow_nan=False)
-    return sent
 
 
-# --- what comes in
-
-
-def _heartbeat(reader: Reader) -> bytes:
-    """The autopilot's, in any mode."""
-    mode, how = MODES[reader.byte() % len(MODES)], reader.byte()
-    kind, autopilot = ((2, 3), (1, 3), (2, 12), (1, 12))[how % 4]
-    armed, status = 1 | (128 if how & 4 else 0), reader.byte() % 9
-    message = mavlink.MAVLink_heartbeat_message(kind, autopilot, armed, mode, status, 3)
-    return bytes(message.pack(_VEHICLE))
-
-
-def _list(reader: Reader) -> list[dict[str, float]]:
-    """Items that autopilots hold: shapes of a fence, places to fly to, or anything."""
-    items: list[dict[str, float]] = []
-    for _ in range(reader.byte() % 4):
-        number = ITEM_COMMANDS[reader.byte() % len(ITEM_COMMANDS)]
-        corners = 3 + reader.byte() % 4 if number in (5001, 5002) else 1
-        size = float(corners) if corners > 1 else (20.0, 60.0, 300.0, *VALUES)[reader.byte() % 25]
-        for _ in range(corners):
-            frame, up_m = (3, 3, 6, 0, 5, 10)[reader.byte() % 6], (0.0, 20.0, *VALUES)
-            x, y = (round(deg * 1e7) + (reader.byte() - 128) * 250 for deg in PLACE.values())
-            item = {"command": number, "frame": frame, "param1": size, "x": x, "y": y}
-            items.append(item | {"z": up_m[reader.byte() % 24]})
-    return items
-
-
-def _answer(question: Any, lists: dict[int, list[dict[str, float]]], reader: Reader) -> bytes:
-    """What the autopilot or the radar answers, with numbers that nobody should send in it."""
-    kind_asked = question.get_type()
-    number = _ANSWERS[kind_asked]
-    kind: Any = mavlink.mavlink_map[number]
-    asked = {name: getattr(question, name) for name in question.fieldnames}
-    values = {name: asked[name] for name in kind.fieldnames if name in asked}
+def _other_values(frame: bytes, reader: Reader) -> bytes:
+    """The same message with another byte, and with a number that nobody should send."""
+    kind: Any = mavlink.mavlink_map[int.from_bytes(frame[7:10], "little")]
     size = kind.unpacker.size
-    payload, sender = b"", (1, 1)
-    match kind_asked:
-        case "MISSION_REQUEST_LIST":
-            values["count"] = len(lists.get(question.mission_type, ()))
-        case "MISSION_REQUEST_INT":
-            items = lists.get(question.mission_type, [])
-            values |= items[question.seq] if question.seq < len(items) else {}
-        case "PARAM_REQUEST_READ" | "PARAM_SET":
-            name = question.param_id.encode().ljust(16, b"\0")
-            payload = bytes(8) + name + bytes([(9, 6, 4, 2, 9, 9)[reader.byte() % 6]])
-            values = {"param_value": (0.0, *VALUES)[reader.byte() % 23]}
-        case "TERRAIN_REQUEST":
-            payload = bytes(10) + bytes(reader.byte() for _ in range(8)) * 4 + bytes(1)
-            values, sender = values | {"gridbit": reader.byte() % 56}, (1, 100)
-        case _:
-            values |= {"command": question.command, "result": reader.byte() % 10}
-    return intact(number, payload.ljust(size, b"\0"), sender, target=(1, 195), values=values)
+    payload = bytearray(frame[10 : 10 + frame[1]].ljust(size, b"\0"))
+    payload[reader.byte() % size] = reader.byte()
+    fields = zip(kind.fieldnames, kind.fieldtypes, strict=True)
+    numbers = [name for name, form in fields if form == "float"]
+    values = {numbers[reader.byte() % len(numbers)]: reader.value()} if numbers else {}
+    sender = frame[5], frame[6]
+    return intact(kind.id, bytes(payload), sender, target=None, values=values)

@@ -6,13 +6,14 @@ The .bin has the formats of ArduPilot 4.5 (AP_Logger's LogStructure.h), packed h
 import math
 import random
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from itertools import islice
 from pathlib import Path
 
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.frames import Receiver
 from companion.telemetry.logs import Log, Odd, Record, open_log
+from companion.telemetry.logs.ulog import TOPICS
 
 _GPS_EPOCH_S = 315_964_800
 _LETTERS = {"n": "4s", "N": "16s", "Z": "64s", "c": "h", "C": "H", "e": "i", "E": "I"}
@@ -92,32 +93,27 @@ def counts(log: Log) -> dict[Odd, int]:
     return {odd: count for odd, count in log.odd.items() if count}
 
 
-def bin_of(path: Path, *, without: Iterable[str] = (), most: int | None = None) -> bytes:
-    """The .bin that the vehicle of a recorded .tlog might have written.
-
-    without: names of entries to leave out; most: messages of the .tlog to be used.
-    """
+def bin_of(path: Path, *, most: int | None = None) -> bytes:
+    """The .bin that the vehicle of a recorded .tlog might have written; of its first messages."""
     writer = _BinWriter()
-    log = open_log(path)
-    for _, message in messages_of(islice(log.records(), most)):
+    for _, message in messages_of(islice(open_log(path).records(), most)):
         if message.get_srcComponent() == wire.MAV_COMP_ID_AUTOPILOT1:
             writer.on_message(message)
-    left_out = set(without)
-    return fmt_entries() + b"".join(row for name, row in writer.rows if name not in left_out)
+    return fmt_entries() + b"".join(writer.rows)
 
 
 class _BinWriter:
     """Messages to entries: the other way round than the reader, from ArduPilot's own sources."""
 
     def __init__(self) -> None:
-        self.rows: list[tuple[str, bytes]] = []
+        self.rows: list[bytes] = []
         self._boot_us = 0
         self._unix_us = 0
         self._last: dict[str, float] = {}
         self._add("RCIN", 1500, 1500, 1000, 1500)
 
     def _add(self, name: str, *values: float | bytes) -> None:
-        self.rows.append((name, entry(name, self._boot_us, *values)))
+        self.rows.append(entry(name, self._boot_us, *values))
 
     def _changed(self, what: str, value: float) -> bool:
         before, self._last[what] = self._last.get(what), value
@@ -188,64 +184,52 @@ class _BinWriter:
         self._add("GPS", 1, 0, 0, 0, 0, 99, 0, 0, 0, *([0] * 4), 0)  # a second receiver
 
 
-def ulg_of(path: Path, topics: Iterable[str], most: int) -> bytes:
-    """A small .ulg: of a recorded one the formats, these topics, 30 parameters and the texts.
-
-    most: bytes of data, of each topic alike.
-    """
-    content, wanted, taken = path.read_bytes(), set(topics), dict[int, int]()
-    out, at, parameters = content[:16], 16, 0
+def ulg_messages(content: bytes) -> Iterator[bytes]:
+    """The messages of a .ulg after its head of 16 bytes, each with its own: size, kind, content."""
+    at = 16
     while at + 3 <= len(content):
-        end = at + 3 + int.from_bytes(content[at : at + 2], "little")
-        kind, message = content[at + 2 : at + 3], content[at:end]
-        at = end
-        if kind == b"F" and message[3:].split(b":")[0].decode() not in wanted:
-            continue
-        if kind == b"A" and message[6:].decode() not in wanted:
-            continue
-        if kind == b"A":
-            taken[int.from_bytes(message[4:6], "little")] = 0
-        parameters += kind == b"P"
-        if kind == b"D":
-            number = int.from_bytes(message[3:5], "little")
-            if taken.get(number, most) > most / len(wanted):
-                continue
-            taken[number] += len(message)
-        elif kind not in (b"F", b"A", b"L", b"P", b"O") or (kind == b"P" and parameters > 30):
-            continue
-        out += message
+        size = 3 + int.from_bytes(content[at : at + 2], "little")
+        yield content[at : at + size]
+        at += size
+
+
+def ulg_of(path: Path, most: int) -> bytes:
+    """Of a recorded .ulg the topics that are read, so many bytes of each, and 30 parameters."""
+    content, parameters, left = path.read_bytes(), 0, dict[bytes, int]()
+    out = content[:16]
+    for message in ulg_messages(content):
+        match message[2:3]:
+            case b"F":
+                wanted = message[3:].partition(b":")[0].decode() in TOPICS
+            case b"A":
+                wanted = message[6:].decode() in TOPICS
+                left[message[4:6]] = most * wanted
+            case b"D":
+                wanted = left[message[3:5]] > 0
+                left[message[3:5]] -= len(message)
+            case b"P":
+                parameters += 1
+                wanted = parameters <= 30
+            case kind:
+                wanted = kind in (b"L", b"O")
+        out += message * wanted
     return out
 
 
 def damaged(content: bytes, chance: random.Random) -> bytes:
-    """The same with some of what happens to files, once to six times over."""
+    """The same with some of what happens to files, once to six times over.
+
+    Bytes that change, are missing or too many, cut off, pages of zeros or ones, something twice,
+    numbers at their limits; or the beginning is missing.
+    """
     out = bytearray(content)
     for _ in range(chance.choice((1, 1, 1, 2, 3, 6))):
-        at = chance.randrange(len(out) + 1)
-        size = chance.choice((1, 1, 2, 8, 64, 300, 5000))
-        match chance.randrange(9):
-            case 0:  # a bit
-                if at < len(out):
-                    out[at] ^= 1 << chance.randrange(8)
-            case 1:  # other bytes
-                for k in range(at, min(at + size, len(out))):
-                    out[k] = chance.randrange(256)
-            case 2:  # bytes are missing
-                del out[at : at + size]
-            case 3:  # there are more
-                out[at:at] = chance.randbytes(size)
-            case 4:  # cut off
-                del out[at:]
-            case 5:  # the beginning is missing
-                del out[: at // 4]
-            case 6:  # a page of zeros, or of ones
-                end = min(at + size, len(out))
-                out[at:end] = bytes([chance.choice((0, 0xFF))]) * (end - at)
-            case 7:  # something twice
-                out[at:at] = out[max(0, at - size) : at]
-            case 8:  # numbers at their limits
-                limit = chance.choice((b"\xff" * 8, b"\x7f\xff\xff\xff", b"\x00" * 8, b"\x80"))
-                out[at : at + len(limit)] = limit
-        if not out:
-            break
+        at, size = chance.randrange(len(out) + 1), chance.choice((1, 1, 2, 8, 64, 300, 5000))
+        new = chance.choice([
+            b"", chance.randbytes(size), bytes(size), b"\xff" * size,
+            out[max(0, at - size) : at], b"\x7f\xff\xff\xff", b"\x80",
+        ])  # fmt: skip
+        out[at : at + chance.choice((0, size, len(new), len(new), len(out)))] = new
+        if chance.random() < 0.1:
+            del out[: at // 4]
     return bytes(out)

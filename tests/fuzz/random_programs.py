@@ -6,10 +6,13 @@ What the fuzzers of both programs share.
 import math
 import re
 import struct
+from collections.abc import Sequence
 from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 from pymavlink.generator.mavcrc import x25crc
+
+from vehicle_sim.plans import PlanItem
 
 MESSAGES = sorted(mavlink.mavlink_map)
 COMMANDS = (
@@ -20,6 +23,12 @@ VALUES = (
     *(0.0, 1.0, -1.0, 4.0, 6.0, 9.0, 13.0, 15.0, 20.0, 33.0, 50.0, 21196.0, 47.4, 8.5, 500.0),
     *(1e-30, 1e9, -1e9, 3e38, math.nan, math.inf, -math.inf),
 )
+
+FAULTS = ("for 1 s: gps_off", "for 2 s: gps_glitch 30 m up", "pilot", "origin_move 300 m north")
+FAULTS += ("estimator_reset 300 m west", "for 2 s: wind 20 m/s from 90 deg turbulence 5")
+FRAMES = (0, 1, 2, 3, 5, 6, 7, 8, 9, 10, 11, 12, 21, 255)
+EDGES_E7 = (0, 474_000_000, 85_000_000, -(2**31), 2**31 - 1)
+_ITEMS = (16, 17, 18, 19, 20, 21, 22, 82, 177, 178, 201, *range(5000, 5005), 5100, 0, 65535)
 
 
 def message_numbers(names: str) -> tuple[int, ...]:
@@ -78,6 +87,28 @@ def intact(
     return b"\xfd" + body + crc.to_bytes(2, "little")
 
 
+def any_frame(
+    number: int,
+    reader: Reader,
+    senders: Sequence[tuple[int, int]],
+    target: tuple[int, int],
+    *,
+    now_s: float = 0.0,
+) -> bytes:
+    """Of anybody, with any payload; often at this time, and with numbers that nobody sends."""
+    kind: Any = mavlink.mavlink_map[number]
+    size = kind.unpacker.size
+    payload, how = reader.bytes(reader.byte() % (size + 1)).ljust(size, b"\0"), reader.byte()
+    values: dict[str, float] = {}
+    if how & 1:
+        names = zip(kind.fieldnames, kind.fieldtypes, strict=True)
+        values = {name: reader.value() for name, form in names if form == "float"}
+    if how & 2:
+        values["time_boot_ms"] = (max(round(now_s * 1e3), 0) + reader.byte()) % 2**32
+    sender = senders[reader.byte() % len(senders)]
+    return intact(number, payload, sender, target=target if how & 12 else None, values=values)
+
+
 def command(reader: Reader, numbers: tuple[int, ...], codec: Any, target: tuple[int, int]) -> bytes:
     """A command, with any numbers in it."""
     number = numbers[reader.byte() % len(numbers)]
@@ -91,6 +122,27 @@ def command(reader: Reader, numbers: tuple[int, ...], codec: Any, target: tuple[
         )
     packed: bytes = message.pack(codec)
     return packed
+
+
+def plan_items(reader: Reader, place_deg: tuple[float, ...]) -> tuple[PlanItem, ...]:
+    """Shapes of a fence near a place, places to fly to, or anything, of sense or none."""
+    items = []
+    for _ in range(reader.byte() % 5):
+        number = _ITEMS[reader.byte() % len(_ITEMS)]
+        corners = 3 + reader.byte() % 4 if number in (5001, 5002) else 1
+        size = float(corners) if corners > 1 else (20.0, 60.0, 300.0, *VALUES)[reader.byte() % 25]
+        rest, frame = (reader.value(), reader.value(), reader.value()), reader.byte()
+        for _ in range(corners):
+            x, y = (round(deg * 1e7) + (reader.byte() - 128) * 250 for deg in place_deg)
+            if reader.byte() % 8 == 0:
+                x = EDGES_E7[reader.byte() % len(EDGES_E7)]
+            items.append(
+                PlanItem(
+                    frame=FRAMES[frame % len(FRAMES)], command=number, parameters=(size, *rest),
+                    x=x, y=y, z_m=(0.0, 20.0, *VALUES)[reader.byte() % 24],
+                )
+            )  # fmt: skip
+    return tuple(items)
 
 
 def _place(kind: Any, field: str) -> tuple[str, int] | None:

@@ -10,9 +10,20 @@ import time
 from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
-from random_programs import COMMANDS, MESSAGES, VALUES, Reader, command, intact, message_numbers
+from random_programs import (
+    COMMANDS,
+    EDGES_E7,
+    FAULTS,
+    FRAMES,
+    MESSAGES,
+    Reader,
+    any_frame,
+    command,
+    message_numbers,
+    plan_items,
+)
 
-from vehicle_sim.plans import PlanItem, PlanKind
+from vehicle_sim.plans import PlanKind
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.wire.missions import store
 from vehicle_sim.world import flat_world
@@ -23,22 +34,9 @@ PERSONALITIES: Any = (
     ("copter", "px4"),
     ("plane", "px4"),
 )
-HANDLED = message_numbers(
-    """
-    HEARTBEAT COMMAND_LONG COMMAND_INT SET_POSITION_TARGET_LOCAL_NED
-    SET_POSITION_TARGET_GLOBAL_INT TIMESYNC PARAM_SET PARAM_REQUEST_READ PARAM_REQUEST_LIST
-    MISSION_COUNT MISSION_ITEM_INT MISSION_ITEM MISSION_REQUEST_INT MISSION_REQUEST
-    MISSION_REQUEST_LIST MISSION_CLEAR_ALL MISSION_ACK MISSION_SET_CURRENT
-    REQUEST_DATA_STREAM SET_MODE SETUP_SIGNING
-    FILE_TRANSFER_PROTOCOL TERRAIN_REQUEST PING
-    """
-)
-FAULTS = ("for 1 s: gps_off", "for 2 s: gps_glitch 30 m up", "pilot", "origin_move 300 m north")
-FAULTS += ("estimator_reset 300 m west", "for 2 s: wind 20 m/s from 90 deg turbulence 5")
-FRAMES = (0, 1, 2, 3, 5, 6, 7, 8, 9, 10, 11, 12, 21, 255)
+SENDERS = [(system, component) for system in (255, 1, 42) for component in (190, 191, 195)]
 MASKS = (0, 0xDF8, 0xDC0, 0xC00, 0x9C0, 0xDC7)
-ITEMS = (16, 17, 18, 19, 20, 21, 22, 177, 178, 201, 5001, 5002, 5003, 5004, 5100, 0, 65535)
-EDGES_E7 = (0, 474_000_000, 85_000_000, -(2**31), 2**31 - 1)
+PLACE = (47.4, 8.5)
 LINKS = 2
 SLOWEST_S = 5.0
 """An input that takes longer is called a hang: the longest honest ones take milliseconds."""
@@ -62,8 +60,10 @@ class Target:
         if self._inputs % _FRESH_AFTER == 0:
             self._vehicles.clear()
         if which not in self._vehicles:
-            place = {"latitude_deg": 47.4, "longitude_deg": 8.5, "altitude_amsl_m": 488.0}
-            world = flat_world(*PERSONALITIES[which], **place, heading_deg=0.0)
+            place = dict(zip(("latitude_deg", "longitude_deg"), PLACE, strict=True))
+            world = flat_world(
+                *PERSONALITIES[which], **place, altitude_amsl_m=488.0, heading_deg=0.0
+            )
             vehicle = Simulation(world, links=LINKS, byte_streams={1})
             for _ in range(4500):
                 vehicle.step()
@@ -87,7 +87,7 @@ class Target:
                     check(vehicle)
                 case 3:
                     number = MESSAGES[(reader.byte() << 8 | reader.byte()) % len(MESSAGES)]
-                    vehicle.receive(link, _frame(number, reader))
+                    vehicle.receive(link, any_frame(number, reader, SENDERS, (1, 1)))
                 case 4:
                     vehicle.receive(link, command(reader, COMMANDS, _STATION, (1, 1)))
                 case 5:
@@ -98,12 +98,13 @@ class Target:
                     vehicle.receive(0, _parameter(name, reader.value()))
                 case 7:
                     autopilot, kind = vehicle._controller.autopilot, PlanKind(reader.byte() % 3)
-                    vehicle._controller.answer(store(autopilot, kind, _plan(reader)))
+                    vehicle._controller.answer(store(autopilot, kind, plan_items(reader, PLACE)))
                 case 8:
                     vehicle.add_fault(FAULTS[reader.byte() % len(FAULTS)])
                 case _:
-                    number = HANDLED[reader.byte() % len(HANDLED)]
-                    vehicle.receive(link, _frame(number, reader))
+                    handled = [*vehicle._controller.handlers, "TERRAIN_REQUEST", "PING"]
+                    [number] = message_numbers(handled[reader.byte() % len(handled)])
+                    vehicle.receive(link, any_frame(number, reader, SENDERS, (1, 1)))
         for _ in range(10):
             vehicle.step()
         check(vehicle)
@@ -130,21 +131,6 @@ def check(vehicle: Simulation) -> None:
     assert 0.0 <= flown.throttle <= 1.0
 
 
-def _plan(reader: Reader) -> tuple[PlanItem, ...]:
-    """Up to six items, of any sense."""
-    return tuple(
-        PlanItem(
-            frame=FRAMES[reader.byte() % len(FRAMES)],
-            command=ITEMS[reader.byte() % len(ITEMS)],
-            parameters=(reader.value(), reader.value(), reader.value(), reader.value()),
-            x=EDGES_E7[reader.byte() % len(EDGES_E7)],
-            y=EDGES_E7[reader.byte() % len(EDGES_E7)],
-            z_m=(30.0, *VALUES)[reader.byte() % (len(VALUES) + 1)],
-        )
-        for _ in range(reader.byte() % 7)
-    )
-
-
 def _setpoint(reader: Reader) -> bytes:
     """Of either kind."""
     frame, mask = FRAMES[reader.byte() % len(FRAMES)], MASKS[reader.byte() % len(MASKS)]
@@ -159,15 +145,6 @@ def _setpoint(reader: Reader) -> bytes:
         )
     packed: bytes = message.pack(_STATION)
     return packed
-
-
-def _frame(number: int, reader: Reader) -> bytes:
-    """An intact frame with any payload; most are addressed to the vehicle."""
-    size = mavlink.mavlink_map[number].unpacker.size
-    payload = reader.bytes(size).ljust(size, b"\0")
-    who = reader.byte()
-    sender = ((255, 1, 42)[who % 3], (190, 191, 195)[who // 3 % 3])
-    return intact(number, payload, sender, target=(1, 1) if who & 0xC0 else None)
 
 
 def _parameter(name: str, value: float) -> bytes:

@@ -141,21 +141,6 @@ def test_parameters_and_plans_come_back_as_they_went(connect: Any, tmp_path: Pat
     ends(ground)
 
 
-@pytest.mark.nightly
-def test_a_plane_is_flown(connect: Any) -> None:
-    vehicle, ground = connect("udpin", "--vehicle", "plane", speedup=20)
-    ground.ask("mode TAKEOFF", "TAKEOFF> ")
-    vehicle.wait_until(lambda now: now["t_s"] > 23.0)
-    ground.ask("arm throttle", "COMPONENT_ARM_DISARM: ACCEPTED")
-    vehicle.wait_until(lambda now: height_m(now) > 35.0)
-    ground.ask("mode GUIDED", "GUIDED> ")
-    ground.ask(f"guided {at(400.0, 0.0)} 80", "DO_REPOSITION: ACCEPTED")
-    vehicle.wait_until(lambda now: height_m(now) > 70 and away_m(now, *place(400, 0)) < 120, 30.0)
-    ground.ask("mode RTL", "RTL> ")
-    vehicle.wait_until(lambda now: away_m(now, *place(0.0, 0.0)) < 150.0, 30.0)
-    ends(ground)
-
-
 def test_once_there_is_a_key_who_has_it_not_is_heard_on_the_first_link_only(
     fly: Any, mavproxy: Any
 ) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from flights import HILLS, HILLS_MISSION, flown_here
+from golden import GOLDENS, run_folder_of
 from PIL import Image
 from playwright.sync_api import Page, expect, sync_playwright
 from rich.console import Console
@@ -42,8 +42,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def grow(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Grow:
-    whole = tmp_path_factory.mktemp("flown") / "run"
-    flown_here(whole, HILLS, HILLS_MISSION, limit_s=250.0)
+    whole = run_folder_of(GOLDENS / "copter-loses-gps", tmp_path_factory.mktemp("flown") / "run")
     shutil.copy(whole / "mission.toml", folder)
 
     def to(share: float) -> None:

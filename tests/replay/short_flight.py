@@ -5,30 +5,20 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from scripted_vehicle import Vehicle, straight_plan
-from test_loop import ScriptedLink
+from recorded import EPOCH_US, short_mission
+from scripted_vehicle import ScriptedLink, Vehicle, straight_plan
 
-from companion.config import load_mission, mission_text
+from companion.config import load_mission
 from companion.mission.mission import Mission
 from companion.mission.start import Start
 from companion.replay.compare import Replayed, replay_of_folder
 from companion.runtime import loop
 from companion.runtime.planner_process import PlannerHere
 from companion.session import Session
-from companion.sources.files import toml_table, toml_text
 from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.inputs import FILE, HEADER, Input, InputsFile, packed
 from companion.telemetry.resume import load_resume_data
 from companion.telemetry.run_folder import RunFolder
-
-EPOCH_US = 1_700_000_000_000_000
-
-
-def short_mission(**tables: Any) -> str:
-    """A mission file with one target, 5 km away."""
-    table = toml_table(mission_text("environment-1"), "environment-1")
-    target = {"north_m": 4000.0, "east_m": 3000.0}
-    return toml_text({**table, "targets": [target], **tables})
 
 
 def fly_short(

@@ -2,14 +2,14 @@
 
 import json
 import re
-import struct
 import threading
 from pathlib import Path
 from typing import Any
 
 import pytest
-from short_flight import ScriptedLink, Vehicle, fly_short, mission_of, replayed, rewritten
-from tlog import recorded_frames
+from scripted_vehicle import ScriptedLink, Vehicle
+from short_flight import fly_short, mission_of, replayed, rewritten
+from tlog import recorded_frames, written
 
 from companion.mission import machine
 from companion.mission.events import Outcome
@@ -95,8 +95,7 @@ def test_a_frame_that_was_not_sent_is_left_out_if_it_is_said_so(
     if is_said:
         rewritten(run, lambda inputs: inputs.insert(number + 1, ("unsent", [0])))
     del records[unsent]
-    log = b"".join(struct.pack(">Q", at_us) + frame for at_us, frame in records)
-    (run / "flight.tlog").write_bytes(log)
+    written(run / "flight.tlog", records)
     assert (replayed(run, plans=False).difference is None) == is_said
 
 

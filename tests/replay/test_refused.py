@@ -6,11 +6,13 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import missions
 import numpy as np
 import pytest
 from answers import answered
 from geotiff import write_elevation
-from short_flight import fly_short, rewritten, short_mission
+from recorded import short_mission
+from short_flight import fly_short, rewritten
 
 from companion.config import load_mission
 from companion.mission.journal import VERSION
@@ -80,10 +82,22 @@ def a_damaged_answer(run: Path) -> None:
     rewritten(run, lambda told: told.__setitem__(200, ("deliver", {"kind": "planned"})))
 
 
+def another_phase(run: Path) -> None:
+    path, was = run / "journal.jsonl", b'"kind":"phase","phase":"preparing"'
+    path.write_bytes(path.read_bytes().replace(was, was.replace(b"preparing", b"landing"), 1))
+
+
+def inputs(content: bytes) -> Damage:
+    return lambda run: (run / FILE).write_bytes(content)
+
+
 ENDS_EARLY = "the recording ends early: .*\nidentical\n"  # as a power cut or a kill leaves it
 NO_INPUTS = inputs_end_with(lambda rest: b"\xc1" + rest)
 DAMAGES: dict[str, tuple[Damage, int, str]] = {
     "nothing": (empty("flight.tlog", "journal.jsonl"), 2, "it holds nothing to compare a replay"),
+    "no inputs": (inputs(b""), 2, "it does not begin like the inputs of a flight"),
+    "other inputs": (inputs(packed([("companion-inputs", 99)])[0]), 2, "reads version 1"),
+    "another phase": (another_phase, 1, "phase.phase: recorded 'landing', replayed 'preparing'"),
     "no frame": (empty("flight.tlog"), 0, "no frame was compared: flight.tlog holds none"),
     "a line that is no JSON": (an_odd_line, 1, "kind: recorded b'.\\\\n'.*Companion .* flew"),
     "garbage in the log": (garbage_in_the_log, 2, "up to there.* bytes of flight.tlog that are no"),
@@ -108,6 +122,15 @@ def test_what_is_damaged_is_a_difference_or_an_error_of_one_line(run: Path, dama
     assert (code, len(errors)) == (expected, expected > 0)
     assert re.search(words, "\n".join([out, *errors]), flags=re.DOTALL)
     assert damage != "nothing" or "identical" not in out
+
+
+@pytest.mark.parametrize(("options", "named"), [
+    ("--no-plans", "--plans"), ("--profile paper --shadow", "--profile"),
+    ("--no-plans --set planner.seed=1", "--plans"),
+])  # fmt: skip
+def test_an_option_that_is_of_no_use_is_refused_in_one_line(options: str, named: str) -> None:
+    code, _, said = answered("replay", missions.MISSION, *options.split())
+    assert (code, said.count("\n"), said.split(" = ")[0]) == (2, 1, f"error: {named}")
 
 
 NO_TOLD: list[Input] = [

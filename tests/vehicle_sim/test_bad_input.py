@@ -8,9 +8,9 @@ from harness import KINDS, Rig, flying, setpoint
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
-from random_programs import VALUES, Reader
+from random_programs import VALUES, Reader, intact
 from random_programs import command as wild_command
-from receive import MESSAGES, Target, check, intact
+from receive import MESSAGES, Target, check
 
 COMMANDS = sorted(number for number in mavlink.enums["MAV_CMD"] if number < 65536)
 ALL_FOUR = pytest.mark.parametrize(("autopilot", "kind"), KINDS)

@@ -1,6 +1,7 @@
-"""The report of a flight, held against what was recorded, read by parsers that are not ours."""
+"""The report of a flight and its picture, held against what was recorded, by parsers not ours."""
 
 import json
+import math
 import re
 import shutil
 import struct
@@ -11,17 +12,23 @@ from typing import Any
 
 import lxml.etree
 import lxml.html
+import matplotlib._pylab_helpers
 import numpy as np
 import pyproj
 import pytest
+from answers import assert_it_loads_nothing, words_of
+from matplotlib.patches import Circle
 from planning import column_distance_m
 from pymavlink.dialects.v20 import all as wire
 from recorded import EPOCH_US
 from tlog import frames_of
 
 from companion.config import load_mission
+from companion.geodesy import FloatArray
 from companion.profiles import Weights
 from companion.replay.exporting import facts_of, write_report
+from companion.views import figure as views
+from companion.views.figure import FlightFigure, compose, recorded_figure, save
 from companion.world.known_map import KnownMap, empty_map, packed_map
 
 GEOD = pyproj.Geod(ellps="WGS84")
@@ -58,14 +65,6 @@ def hill(run: Path) -> KnownMap:
 def report_of(run: Path, out: Path | None = None) -> str:
     write_report(run, out)
     return (out or run / "report.html").read_text(encoding="utf-8")
-
-
-def words_of(page: str) -> str:
-    """What a person reads on it."""
-    read = lxml.html.fromstring(page)
-    for drawn in read.xpath("//style | //*[local-name() = 'svg']"):
-        drawn.drop_tree()
-    return " ".join(" ".join(read.itertext()).split()).replace(" : ", ": ")
 
 
 def records_of(run: Path) -> list[tuple[int, Any]]:
@@ -160,15 +159,7 @@ def test_the_page_says_what_the_files_say_is_whole_and_loads_nothing(
     assert {weight.name for weight in fields(Weights)} <= {*read.xpath("//th/text()")}
     assert sum(e["kind"] == "say" for e in said) == words.count("companion: ")
     assert "cut as time was up" not in words
-    loads = {"script", "link", "iframe", "object", "embed", "base", "form", "img"}
-    assert not loads & {each.tag for each in read.iter()}
-    assert not read.xpath("//@*[starts-with(name(), 'on')]")
-    links = {"src", "href", "xlink:href", "action", "srcset", "data", "poster"}
-    for link in (each.get(name) for each in read.iter() for name in links & {*each.keys()}):
-        assert link.startswith(("#", "data:image/png;base64,"))
-    assert "@import" not in page
-    assert all(url.startswith("#") for url in re.findall(r"url\(([^)]*)\)", page))
-    assert "default-src 'none'" in page
+    assert_it_loads_nothing(page)
     ids = read.xpath("//@id")
     assert len(ids) == len(set(ids))
     figures = re.findall(r"<svg.*?</svg>", page, flags=re.DOTALL)
@@ -177,6 +168,100 @@ def test_the_page_says_what_the_files_say_is_whole_and_loads_nothing(
         root = lxml.etree.fromstring(text.encode())
         assert root.tag == "{http://www.w3.org/2000/svg}svg"
         assert set(re.findall(r'(?:href="#|url\(#)([^")]*)', text)) <= set(root.xpath("//@id"))
+
+
+# --- the picture
+
+BEGINS = {".png": b"\x89PNG\r\n\x1a\n", ".svg": b"<?xml", ".PDF": b"%PDF"}
+
+
+@pytest.fixture(scope="module")
+def pictured(run_dir: Path) -> FlightFigure:
+    """Without the track that was flown, over the south-western corner of the map."""
+    facts, known = facts_of(run_dir), hill(run_dir)
+    corner = replace(known, upper_m=known.upper_m[:100, :100], seen=known.seen[:100, :100])
+    shown = recorded_figure(facts.flight, corner)
+    return replace(shown, track_nea_m=None, title="$5 a_b")
+
+
+def axes_of(flight: FlightFigure) -> dict[str, Any]:
+    return {str(axes.get_label()): axes for axes in compose(flight).axes}
+
+
+def line_of(axes: Any, label: str) -> FloatArray:
+    (line,) = (line for line in axes.lines if line.get_label() == label and len(line.get_xdata()))
+    return np.stack(line.get_data(), axis=-1)
+
+
+def labels_of(axes: Any) -> set[str]:
+    return set(axes.get_legend_handles_labels()[1])
+
+
+@pytest.mark.parametrize("suffix", BEGINS)
+def test_the_same_flight_gives_the_same_picture_of_the_kind_that_is_named(
+    pictured: FlightFigure, suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The terrain of an .svg is an image, and its lines are lines.  Nothing known is a picture."""
+    monkeypatch.setattr(views, "DPI", 40)  # it is sooner drawn
+    monkeypatch.setattr(views, "_BLOCKS", 30)
+    one, two = tmp_path / f"one{suffix}", tmp_path / f"two{suffix}"
+    for path in (one, two):
+        save(compose(pictured), path)
+    assert not matplotlib._pylab_helpers.Gcf.figs  # none stays open
+    assert one.read_bytes().startswith(BEGINS[suffix])
+    assert one.read_bytes() == two.read_bytes()
+    if suffix == ".svg":
+        tags = [each.tag.partition("}")[2] for each in lxml.etree.parse(one).iter("*")]
+        assert tags.count("image") >= 2
+        assert 50 < tags.count("path") < 3000
+    nothing = np.full_like(pictured.known.upper_m, math.inf)
+    unknown = replace(pictured.known, upper_m=nothing)
+    save(compose(replace(pictured, known=unknown, legs_nea_m=())), one)
+
+
+def test_the_plan_shows_the_path_in_kilometres_and_radars_as_wide_as_within_the_band(
+    pictured: FlightFigure,
+) -> None:
+    known = pictured.known
+    whole = replace(known, upper_m=np.zeros((100, 100)), seen=np.ones((100, 100), dtype=bool))
+    plan = axes_of(replace(pictured, known=whole))["plan"]
+    assert "unknown ground" not in labels_of(plan)
+    path = np.concatenate(pictured.legs_nea_m)
+    np.testing.assert_allclose(line_of(plan, "planned path"), path[:, [1, 0]])
+    edges_m = pytest.approx((known.north_min_m, known.north_min_m + 100 * known.cell_m))
+    assert [plan.get_xlim(), plan.get_ylim()] == [edges_m, edges_m]
+    assert "km" in plan.get_xlabel()
+    assert plan.xaxis.get_major_formatter()(2500.0) == "2.5"
+    assert plan.get_aspect() == 1.0
+    radii_m = {patch.get_radius() for patch in plan.patches if isinstance(patch, Circle)}
+    for radar in pictured.task.radars:
+        above_m = max(pictured.band_m[0] - radar.centre_nea_m[2], 0.0)
+        assert math.sqrt(radar.range_m**2 - above_m**2) in map(pytest.approx, radii_m)
+    # two keep-outs, and what is outside the keep-in
+    assert sum(patch.get_label() == "keep-out" for patch in plan.patches) == 3
+
+
+def test_the_profile_shows_the_terrain_under_the_path_and_both_paths_over_it(
+    pictured: FlightFigure,
+) -> None:
+    """The flown track at the nearest place of the path, or as its own; unknown ground as such."""
+    path, known = np.concatenate(pictured.legs_nea_m), pictured.known
+    higher = replace(pictured, track_nea_m=np.add(path, (0.0, 0.0, 7.0)))
+    axes = axes_of(higher)
+    profile = axes["profile"]
+    assert "unknown ground" in labels_of(axes["plan"])
+    under, over = (line_of(profile, n) for n in ("terrain under the path", "planned path"))
+    cells = (path[:, :2] - (known.north_min_m, known.east_min_m)) // known.cell_m
+    heights_m = known.upper_m[tuple(cells.astype(int).T)]
+    np.testing.assert_allclose(under[:, 1], np.where(heights_m < math.inf, heights_m, math.nan))
+    assert any(each.get_hatch() for each in profile.collections)  # where it began
+    np.testing.assert_allclose(over[:, 1], path[:, 2])
+    along_m = np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1).sum()
+    assert over[-1, 0] == pytest.approx(along_m)
+    np.testing.assert_allclose(line_of(profile, "flown track"), np.add(over, (0.0, 7.0)), atol=1e-9)
+    alone = axes_of(replace(pictured, legs_nea_m=(), track_nea_m=path))
+    assert "planned path" not in labels_of(alone["plan"])
+    np.testing.assert_allclose(line_of(alone["profile"], "flown track")[:, 1], path[:, 2])
 
 
 # --- what is not there, or otherwise

@@ -129,20 +129,16 @@ def test_a_flight_is_as_near_to_the_terrain_as_its_nearest_leg_and_costs_the_sum
         assert "1,040 m" not in table
         for words in ("612 m", "6.8", "500 m", "arrived"):  # 3.25 + 3.5; 250 m in range, twice
             assert words in table
+    unproven = replace(near, certificate=replace(PROVEN, broken=("turn radius",)))
+    rows = printed(plans_table((near, unproven))).splitlines()
+    first, second = (line for line in rows if "15.0 km" in line)
+    assert all(words in first for words in ("612 m", "straight"))
+    assert "not proven" in second
     plane, copter = load_mission("sitl-arduplane"), load_mission("sitl-arducopter")
     passed = "passed the target at │ 12.3 m"
     assert passed in ended(plane, Outcome.ARRIVED, passed_m=12.34)
     assert passed not in ended(plane, Outcome.FAILED, passed_m=12.34)
     assert passed not in ended(copter, Outcome.ARRIVED, passed_m=12.34)
-
-
-def test_every_plan_has_a_row_with_its_clearance_if_it_is_proven() -> None:
-    unproven = planned(replace(PROVEN, broken=("turn radius",)), 2.0)
-    table = printed(plans_table((planned(PROVEN, 1.0), unproven)))
-    first, second = (line for line in table.splitlines() if "15.0 km" in line)
-    assert "612 m" in first
-    assert "straight" in first
-    assert "not proven" in second
 
 
 # --- while it is flown
@@ -177,7 +173,7 @@ class Terminal:
 
 
 def test_each_change_is_a_line_that_says_why_it_holds_while_it_holds() -> None:
-    """The autopilot's failsafe and its end, another reason, and no reason once it flies."""
+    """The autopilot's failsafe and its end, another reason, no reason once it flies, a warning."""
     held = {"phase": Phase.HOLDING, "reason": Reason.FAILSAFE}
     over = {"why": Reason.FAILSAFE, "failsafe_over": True}
     lost = {"reason": Reason.LINK_LOST, "why": Reason.LINK_LOST}
@@ -200,15 +196,11 @@ def test_each_change_is_a_line_that_says_why_it_holds_while_it_holds() -> None:
         assert words is None or words in lines[-1]
         if words == "flying":
             assert not any(old in lines[-1] for old in ("failsafe", "hold", "("))
-
-
-def test_a_warning_stands_for_a_minute() -> None:
-    terminal = Terminal()
-    terminal.show(100.0, **FLIES)
+    terminal.show(200.0)  # a warning stands for a minute
     terminal.flown.session._send_text("scan: 3 of 9 blocks answered", warning=True)
-    assert terminal.show(100.2)[-1].endswith("(scan: 3 of 9 blocks answered)")
-    for later_s, stands in ((159.0, True), (161.0, False)):
-        terminal.show(later_s)
+    assert terminal.show(200.2)[-1].endswith("(scan: 3 of 9 blocks answered)")
+    for time_s, stands in ((259.0, True), (261.0, False)):
+        terminal.show(time_s)
         table = printed(status_table(flight_status(terminal.flown)))
         assert ("scan:" in table) is stands
 
