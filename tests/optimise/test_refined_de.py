@@ -6,7 +6,6 @@ with eq. 17 for every choice of members that could have been made.
 
 import itertools
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -17,16 +16,10 @@ from companion.geodesy import FloatArray
 from companion.optimise import refined_de as names
 from companion.optimise.refined_de import Settings, State, ask, begin, ranked, spent, tell
 
-Cost = Callable[[FloatArray], float]
-
 D = 3
 NO_SEEDS = np.empty((0, D))
 SMALL = Settings(population=7, smallest=7, spread=0.0, own=0.0)
 few = settings(max_examples=20)
-
-
-def bowl(x: FloatArray) -> float:
-    return float(((x - 0.3) ** 2).sum())
 
 
 def rugged(x: FloatArray) -> float:
@@ -35,39 +28,28 @@ def rugged(x: FloatArray) -> float:
     return float(waves + 4.0 * np.abs(x - 0.1).sum() + (2.0 if x[0] + x[1] > 1.2 else 0.0))
 
 
-def search(
-    cost: Cost,
-    evaluations: int,
-    *,
-    seed: int = 0,
-    dimensions: int = D,
-    how: Settings | None = None,
-    stops_early: bool = False,
-) -> State:
+def search(evaluations: int, seed: int, *, stops_early: bool) -> State:
     """A whole search; stops_early: costs above the bounds are told as infinite."""
-    rng = np.random.default_rng(seed)
-    state = begin(dimensions, evaluations, np.empty((0, dimensions)), how or Settings(), rng)
+    state = begin(D, evaluations, NO_SEEDS, Settings(), np.random.default_rng(seed))
     while n := ask(state):
         for i in range(n):
-            value = cost(state.trial[i])
+            value = rugged(state.trial[i])
             over = stops_early and value > state.trial_bounds[i]
             state.trial_costs[i] = math.inf if over else value
         tell(state, n)
     return state
 
 
-def started(
-    how: Settings = SMALL, seed: int = 0, evaluations: int = 700, a: float = 0.5, cr: float = 1.0
-) -> State:
+def started(how: Settings, seed: int, a: float = 0.5) -> State:
     """A search whose population has random costs, and so far from the bounds that none clips."""
     rng = np.random.default_rng(seed)
-    x = rng.uniform(0.45, 0.55, (how.members(evaluations), D))
-    state = begin(D, evaluations, x, how, rng)
+    x = rng.uniform(0.45, 0.55, (how.members(700), D))
+    state = begin(D, 700, x, how, rng)
     n = ask(state)
     assert (state.trial[:n] == x).all()
     state.trial_costs[:n] = rng.random(n)
     tell(state, n)
-    state.memory[:] = 1.0 - a, cr
+    state.memory[:] = 1.0 - a, 1.0
     return state
 
 
@@ -100,8 +82,7 @@ def nearest(trial: FloatArray, candidates: FloatArray) -> float:
 def test_every_mutant_is_equation_17_of_one_of_the_p_best_and_three_others(
     seed: int, a: float
 ) -> None:
-    how = SMALL._replace(p_best=0.43)
-    state = started(how, seed, a=a)
+    state = started(SMALL._replace(p_best=0.43), seed, a)
     kept = np.random.default_rng(seed + 1).uniform(0.45, 0.55, (4, D))
     state.archive[:4], state.now[names.KEPT] = kept, 4
     best = [members(state)[k] for k in np.argsort(state.costs)[:3]]
@@ -114,7 +95,7 @@ def test_every_mutant_is_equation_17_of_one_of_the_p_best_and_three_others(
 @few
 @given(seed=st.integers(0, 10**6))
 def test_the_better_survives_and_the_trial_if_equal_and_beaten_parents_are_kept(seed: int) -> None:
-    state = started(seed=seed)
+    state = started(SMALL, seed)
     before, costs = members(state), state.costs.copy()
     n = ask(state)
     trial, bounds = state.trial[:n].copy(), state.trial_bounds[:n].copy()
@@ -136,7 +117,7 @@ def test_the_population_begins_as_large_as_allowed_falls_linearly_and_its_worst_
     state = begin(D, 2_000, NO_SEEDS, Settings(population=60, smallest=6), np.random.default_rng(1))
     while n := ask(state):
         before = np.sort(state.costs[: state.now[names.SIZE] or 60])
-        told = [bowl(x) for x in state.trial[:n]]
+        told = [rugged(x) for x in state.trial[:n]]
         state.trial_costs[:n] = told
         tell(state, n)
         size = int(state.now[names.SIZE])
@@ -145,7 +126,7 @@ def test_the_population_begins_as_large_as_allowed_falls_linearly_and_its_worst_
         assert now[0] == min(min(told), before[0])
         assert (now <= before[:size]).all()
         assert (state.costs[state.order[:size]] == now).all()
-        assert all(bowl(state.population[k]) == state.costs[k] for k in range(size))
+        assert all(rugged(state.population[k]) == state.costs[k] for k in range(size))
         assert state.now[names.KEPT] <= size
     assert size == 6
     assert spent(state) == 2_000
@@ -156,8 +137,7 @@ def test_the_population_begins_as_large_as_allowed_falls_linearly_and_its_worst_
 def test_a_search_told_infinity_above_its_bounds_is_the_same_search(
     seed: int, evaluations: int
 ) -> None:
-    whole = search(rugged, evaluations, seed=seed)
-    short = search(rugged, evaluations, seed=seed, stops_early=True)
+    whole, short = (search(evaluations, seed, stops_early=early) for early in (False, True))
     for a, b in zip(ranked(whole), ranked(short), strict=True):
         assert a.tobytes() == b.tobytes()
     assert (whole.population == short.population).all()

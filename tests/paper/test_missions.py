@@ -1,4 +1,4 @@
-"""Missions as the paper flies them, and dense measures of curves known in closed form."""
+"""Plans and missions as the paper flies them, and measures of curves known in closed form."""
 
 import math
 import multiprocessing
@@ -12,15 +12,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from planning import hills
+from planning import ask, hills
 
-from companion.geodesy import FloatArray
-from companion.paper.compare.missions import KINDS, Case, as_published, fly_all, violations
+from companion.paper.compare.missions import Case, as_published, fly_all, violations
+from companion.paper.guide import tangent_guide_rad
+from companion.planner.procedure import hover_pose
+from companion.planner.request import Planned
+from companion.planning import plan
+from companion.world.known_map import KnownMap, empty_map
 from companion.world.radars import Radar
-from companion.world.terrain import PeakTerrain
-
-Point = tuple[float, float, float]
-FLAT, STEP_M = hills(), 10.0
+from companion.world.simulated import true_map
 
 
 def quick(planning_time_s: float = 3.0) -> Case:
@@ -79,67 +80,75 @@ def test_ctrl_c_ends_it_with_its_processes() -> None:
         os.close(worker)
 
 
-# --- what breaks a bound
-
-
-def curve(*corners: Point) -> FloatArray:
-    """Control points; straight between two of them."""
-    return np.linspace(*corners, 4) if len(corners) == 2 else np.array(corners)
-
-
-def broken(
-    *flown: tuple[FloatArray, float], radars: tuple[Radar, ...] = (), terrain: PeakTerrain = FLAT
-) -> dict[str, float]:
-    """With the limits of environment-1: turns of 2.5 km; d_s 500 m."""
+def test_of_what_is_flown_just_so_much_breaks_each_bound() -> None:
+    """In environment-1 that is turns of 2.5 km, d_s 500 m.  What two radars see counts once."""
+    level = np.linspace((0.0, 0.0, 3_400.0), (20e3, 0.0, 3_400.0), 4)
+    k = 4.0 / 3.0 * math.tan(math.pi / 8.0)  # a circle to 0.03 %, its curvature to 1.5 %
+    quarter = np.array([(0.0, 0.0, 0.0), (k, 0.0, 0.0), (1.0, 1.0 - k, 0.0), (1.0, 1.0, 0.0)])
+    far = np.array([200e3, 0.0, 3_000.0])
+    flown = [(level, 15e3), (2_700.0 * quarter + far, 1e4), (2_300.0 * quarter + far, 1e4)]
+    seen, not_come_to = (10e3, 2e3, 6e3), (20e3, 0.0, 5e3)
+    radars = tuple(
+        Radar(name="r", centre_nea_m=(n, e, 0.0), range_m=range_m)
+        for n, e, range_m in (seen, seen, not_come_to)
+    )
     world = as_published("environment-1")
-    task = replace(world.task, radars=radars)
-    return violations(flown, replace(world, task=task, terrain=terrain))
-
-
-def radar(north_m: float, east_m: float, range_m: float) -> Radar:
-    return Radar(name="r", centre_nea_m=(north_m, east_m, 0.0), range_m=range_m)
-
-
-def turn(radius_m: float) -> FloatArray:
-    """A quarter of a circle; the cubic Bezier curve is one to 0.03 % (its curvature to 1.5 %)."""
-    k, r = 4.0 / 3.0 * math.tan(math.pi / 8.0) * radius_m, radius_m
-    return curve((0.0, 0.0, 3e3), (k, 0.0, 3e3), (r, r - k, 3e3), (r, r, 3e3))
-
-
-def chord_m(range_m: float, aside_m: float = 0.0) -> float:
-    """How long a line 3 km up is within the range of a radar so far aside."""
-    return 2.0 * math.sqrt(range_m**2 - 3000.0**2 - aside_m**2)
-
-
-LEVEL = curve((0.0, 0.0, 3000.0), (20_000.0, 0.0, 3000.0))
-BREAKS: list[tuple[FloatArray, float, tuple[Radar, ...], str, float]] = [
-    (LEVEL, 20e3, (), "", 0.0),
-    (LEVEL, 20e3, (radar(10e3, 2e3, 6e3),), "radar", chord_m(6e3, 2e3)),
-    (LEVEL, 20e3, (radar(10e3, 2e3, 6e3),) * 2, "radar", chord_m(6e3, 2e3)),  # once
-    (LEVEL, 20e3, (radar(20e3, 0.0, 5e3),), "radar", 0.5 * chord_m(5e3)),
-    (LEVEL, 15e3, (radar(20e3, 0.0, 5e3),), "", 0.0),  # it is not flown so far
-    (turn(2_700.0), 1e4, (), "", 0.0),
-    (turn(2_300.0), 1e4, (), "turn", 2_300.0 * math.pi / 2.0),
-]
-"""Curve, how far it is flown, radars, and what of it breaks which bound."""
-
-
-@pytest.mark.parametrize(("control", "flown_m", "radars", "kind", "broken_m"), BREAKS)
-def test_of_what_is_flown_just_so_much_breaks_a_bound(
-    control: FloatArray, flown_m: float, radars: tuple[Radar, ...], kind: str, broken_m: float
-) -> None:
-    found = broken((control, flown_m), radars=radars)
-    for each in KINDS:
-        expected = broken_m if each == kind else 0.0
-        assert found[each] == pytest.approx(expected, rel=0.01, abs=2.0 * STEP_M)
-
-
-def test_nearer_than_d_s_to_ground_and_peaks_is_what_lies_within_500_m_of_them() -> None:
-    low = curve((0.0, 0.0, 400.0), (20_000.0, 0.0, 400.0))
-    assert broken((low, 8_000.0))["clearance"] == pytest.approx(8_000.0)
-    peaks = hills((10e3, 0.0, 3_000.0, 4e3, 1e9))  # along the way h = 3000 exp(-(x / 4 km)^2)
-    found = broken((LEVEL + np.array([0.0, 0.0, 400.0]), 20e3), terrain=peaks)["clearance"]
-    x = np.arange(-10e3, 10e3, 5.0)
+    ridge = hills((10e3, 0.0, 3_000.0, 4e3, 1e9))  # along the way h = 3000 exp(-(x / 4 km)^2)
+    world = replace(world, task=replace(world.task, radars=radars), terrain=ridge)
+    x = np.arange(-10e3, 5e3, 5.0)
     ground = np.stack([x, 3_000.0 * np.exp(-((x / 4e3) ** 2))], axis=-1)
     near = [np.hypot(*(ground - (at, 3_400.0)).T).min() < 500.0 for at in x]
-    assert found == pytest.approx(5.0 * sum(near), abs=2.0 * STEP_M)
+    expected = {
+        "clearance": 5.0 * sum(near),
+        "radar": 2.0 * math.sqrt(6_000.0**2 - 3_400.0**2 - 2_000.0**2),
+        "turn": 2_300.0 * math.pi / 2.0,
+    }
+    assert violations(flown, world) == pytest.approx(expected, rel=0.01, abs=20.0)
+
+
+# --- one plan by profile `paper`, as in environment-2
+
+WORLD = as_published("environment-2", evaluations=200)
+START, TASK, TARGET = WORLD.start_nea_m, WORLD.task, WORLD.targets_ne_m[0]
+BLANK = empty_map(TASK.cell_m, TASK.limits.north_m, TASK.limits.east_m)
+TRUTH = true_map(WORLD.terrain, BLANK)
+
+
+def planned(known: KnownMap = TRUTH, **changes: object) -> Planned:
+    outcome = plan(ask(TASK, known, START, **{"target_ne_m": TARGET} | changes))
+    assert isinstance(outcome, Planned)
+    return outcome
+
+
+def test_the_best_of_one_search_is_taken_as_it_is_and_ends_at_the_range_of_the_scan() -> None:
+    outcome = planned()
+    assert (outcome.tries, outcome.rank, outcome.evaluations) == (1, 0, 200)
+    assert outcome.subpath.control_nea_m.shape == (4, 3)
+    weights = {"length": 0.1, "height": 0.15, "guide": 0.15, "crash": 0.3, "radar": 0.3}
+    weights["constraints"] = 1.0
+    assert outcome.terms.keys() == weights.keys()
+    assert outcome.cost == pytest.approx(sum(a * outcome.terms[f] for f, a in weights.items()))
+    assert not outcome.reaches_target
+    assert math.dist(outcome.subpath.control_nea_m[-1, :2], START[:2]) == pytest.approx(20_000.0)
+
+
+def test_from_rest_it_leaves_level_along_the_papers_tangents() -> None:
+    climbing = replace(hover_pose(START), tangent_nea=np.array([0.8, 0.0, 0.6]))
+    outcome = planned(start=climbing)
+    guide = tangent_guide_rad(START[:2], TARGET, TASK.radars, TASK.settings.overlap_m)
+    assert outcome.guide_rad == pytest.approx(guide, abs=1e-8)
+    assert abs(guide - math.pi / 4) > 0.1  # a radar is in the way
+    leaving = outcome.subpath.control_nea_m[1] - outcome.subpath.control_nea_m[0]
+    assert math.atan2(leaving[1], leaving[0]) == pytest.approx(guide)
+    assert leaving[2] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_target_within_range_is_the_end_also_where_that_is_not_safe_and_so_reported() -> None:
+    wall = replace(BLANK, upper_m=np.full_like(BLANK.upper_m, 9_000.0))
+    target = (START[0] + 11_000.0, START[1] + 16_000.0)
+    outcome = planned(wall, target_ne_m=target)
+    assert outcome.reaches_target
+    assert outcome.subpath.control_nea_m[-1, :2] == pytest.approx(target)
+    assert outcome.guide_rad == pytest.approx(math.atan2(16.0, 11.0))
+    assert not outcome.certificate.proven
+    assert "terrain clearance" in outcome.certificate.broken

@@ -36,20 +36,6 @@ def few_members() -> Iterator[None]:
 # --- differential evolution: the same draws by hand
 
 
-def blended(
-    x: FloatArray, costs: FloatArray, r: FloatArray, a: float, f1: float, f2: float
-) -> list[float]:
-    """Eq. 15 for one member, r its three others."""
-    best = x[costs.tolist().index(min(costs))]
-    return [
-        a * x[r[0]][j]
-        + (1 - a) * best[j]
-        + f1 * (best[j] - x[r[0]][j])
-        + f2 * (x[r[1]][j] - x[r[2]][j])
-        for j in range(D)
-    ]
-
-
 @pytest.mark.parametrize("make", [ClassicalDE, ImprovedDE])
 @given(seed=seeds)
 def test_the_same_draws_make_the_trials_of_equations_12_to_18(
@@ -75,19 +61,16 @@ def test_the_same_draws_make_the_trials_of_equations_12_to_18(
         told, trials = judge.choice([-0.1, 0.0, 0.1], NP) + costs, de.ask().copy()
         if g == 3:
             told = costs + 1.0  # nothing succeeds: the means stay
-        after = x.copy()
-        for i in range(NP):
-            mutant = blended(x, costs, others[:, i], a[i], f1[i], f2[i])
-            for j in range(D):
-                wanted = mutant[j] if taken[i, j] <= cr[i] or certain[i] == j else x[i, j]
-                assert trials[i, j] == pytest.approx(min(max(wanted, 0.0), 1.0), abs=1e-13)
-            if told[i] <= costs[i]:  # eq. 14
-                after[i] = trials[i]
+        best, (one, two, three) = x[costs.argmin()], x[others]
+        mutants = a[:, None] * one + (1.0 - a[:, None]) * best  # eq. 15
+        mutants += f1[:, None] * (best - one) + f2[:, None] * (two - three)
+        is_taken = (taken <= cr[:, None]) | (certain[:, None] == np.arange(D))  # eq. 13
+        assert trials == pytest.approx(np.where(is_taken, mutants, x).clip(0.0, 1.0), abs=1e-13)
         de.tell(told)
-        better = told <= costs
-        if better.any():
-            a_mean, cr_mean = np.mean(a[better]), np.mean(cr[better])
-        x, costs = after, np.minimum(told, costs)
+        survives = told <= costs  # eq. 14
+        if survives.any():
+            a_mean, cr_mean = a[survives].mean(), cr[survives].mean()
+        x, costs = np.where(survives[:, None], trials, x), np.minimum(told, costs)
         assert de.population.tolist() == x.tolist()
         assert de.costs.tolist() == costs.tolist()
 
@@ -102,7 +85,7 @@ def test_every_ordered_triple_of_others_is_drawn_about_as_often_and_never_onesel
     assert abs(counts - 1_000).max() < 6 * np.sqrt(1_000)
 
 
-# --- the swarm, particle by particle
+# --- the swarm
 
 
 @given(seed=seeds)
@@ -117,22 +100,16 @@ def test_every_particle_moves_by_the_equations_of_clerc_and_kennedy(seed: int) -
         assert swarm.ask() == pytest.approx(x, abs=1e-12)
         costs = costs_of.random(NP)
         swarm.tell(costs)
-        for i in range(NP):
-            if costs[i] <= own_costs[i]:
-                own[i], own_costs[i] = x[i], costs[i]
+        better = costs <= own_costs
+        own[better], own_costs[better] = x[better], costs[better]
         assert swarm.costs == pytest.approx(own_costs)
         assert swarm.population == pytest.approx(own, abs=1e-12), generation
         best = own[own_costs.argmin()]
         u1, u2 = draws.random((NP, D)), draws.random((NP, D))
-        for i, j in np.ndindex(NP, D):
-            # chi (v + 2.05 u1 (own - x) + 2.05 u2 (best - x))
-            pull = 2.05 * u1[i, j] * (own[i, j] - x[i, j])
-            pull += 2.05 * u2[i, j] * (best[j] - x[i, j])
-            v[i, j] = min(max(CHI * (v[i, j] + pull), -0.5), 0.5)
-            free = x[i, j] + v[i, j]
-            x[i, j] = min(max(free, 0.0), 1.0)
-            if x[i, j] != free:
-                v[i, j] = 0.0
+        v = np.clip(CHI * (v + 2.05 * u1 * (own - x) + 2.05 * u2 * (best - x)), -0.5, 0.5)
+        free = x + v
+        x = free.clip(0.0, 1.0)
+        v[x != free] = 0.0
 
 
 # --- the genetic algorithm: who is a parent, and who stays

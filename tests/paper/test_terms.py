@@ -1,17 +1,17 @@
-"""The paper's terms and guide for one candidate, with Python's math, sampling and graphs."""
+"""The paper's terms and guide for one candidate, with scipy's curve, sampling and graphs."""
 
 import cmath
 import math
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planning import limits
+from planning import limits, spline, zone_distance_m
 from scipy.sparse.csgraph import connected_components
 
+from companion.geodesy import FloatArray
 from companion.paper.guide import tangent_guide_rad
 from companion.paper.terms import VARIABLES, Scene, control_points, cost, cost_table
 from companion.path.subpath import Pose
@@ -21,7 +21,6 @@ from companion.world.columns import Surface
 from companion.world.radars import Radar
 from companion.world.zones import CircleZone, PolygonZone
 
-Point = tuple[float, float, float]
 Place = tuple[float, float]
 
 R_M, D_S_M = 2_000.0, 60.0
@@ -29,9 +28,9 @@ RADARS = (
     Radar(name="a", centre_nea_m=(4_500.0, 3_500.0, 0.0), range_m=1_200.0),
     Radar(name="b", centre_nea_m=(3_000.0, 5_000.0, 100.0), range_m=1_500.0),
 )
-CIRCLE = CircleZone(name="c", north_m=4_800.0, east_m=4_800.0, radius_m=500.0)
-SQUARE = PolygonZone(
-    name="s", vertices_ne_m=((2e3, 2e3), (2e3, 2.6e3), (2.6e3, 2.6e3), (2.6e3, 2e3))
+ZONES = (
+    CircleZone(name="c", north_m=4_800.0, east_m=4_800.0, radius_m=500.0),
+    PolygonZone(name="s", vertices_ne_m=((2e3, 2e3), (2e3, 2.6e3), (2.6e3, 2.6e3), (2.6e3, 2e3))),
 )
 TASK = Task(
     limits=limits(
@@ -44,10 +43,9 @@ TASK = Task(
     ),
     settings=PlannerSettings(scan_range_m=R_M, safety_distance_m=D_S_M, planning_time_s=1.0),
     radars=RADARS,
-    zones=(CIRCLE, SQUARE),
+    zones=ZONES,
 )
-#: A plane: the height and the slope of the terrain are known in closed form.
-RISE_N, RISE_E, BASE_M = 0.05, -0.03, 350.0
+RISE_N, RISE_E, BASE_M = 0.05, -0.03, 350.0  # the ground is a plane
 _AXIS = -10_000.0 + 100.0 * np.arange(301)
 SURFACE = Surface(
     north_min_m=-10_000.0,
@@ -78,48 +76,36 @@ def a_scene(seed: int, weights: Weights | None = None) -> Scene:
 # --- the paper's equations for one candidate
 
 
-def bezier(control: list[Point], u: float) -> Point:
-    """Point of a cubic Bezier curve, by its Bernstein form."""
-    shares = [(1 - u) ** 3, 3 * u * (1 - u) ** 2, 3 * u * u * (1 - u), u**3]
-    n, e, z = (sum(s * p[k] for s, p in zip(shares, control, strict=True)) for k in range(3))
-    return n, e, z
+def over(value: FloatArray, least: float, most: float) -> FloatArray:
+    return np.asarray(np.maximum(value - most, 0.0) + np.maximum(least - value, 0.0))
 
 
-def expected(control: list[Point], scene: Scene) -> dict[str, float]:
-    """Every term, for ten samples."""
-    points = [bezier(control, j / 10) for j in range(11)]
-    crash = radar = outside = keep_out = 0.0
-    for n, e, z in points[1:]:
-        plane_m = BASE_M + RISE_N * n + RISE_E * e
-        d = (z - plane_m) / math.sqrt(1.0 + RISE_N**2 + RISE_E**2)
-        crash += (D_S_M - d) / D_S_M if d <= D_S_M else 0.0  # eq. 2
-        for each in RADARS:  # eq. 3
-            d = math.dist((n, e, z), each.centre_nea_m)
-            radar += each.range_m**4 / (each.range_m**4 + d**4) if d <= each.range_m else 0.0
-        outside += over(z, 300.0, 800.0) + over(n, 1_500.0, 5_500.0) + over(e, 1_500.0, 5_500.0)
-        keep_out += max(D_S_M - (math.hypot(n - 4.8e3, e - 4.8e3) - 500.0), 0.0)
-        aside = max(abs(n - 2.3e3), abs(e - 2.3e3)) - 300.0  # of the square: its inside
-        if aside > 0.0:
-            aside = math.hypot(max(abs(n - 2.3e3) - 300, 0.0), max(abs(e - 2.3e3) - 300, 0.0))
-        keep_out += max(D_S_M - aside, 0.0)
-    chords = [tuple(b[k] - a[k] for k in range(3)) for a, b in pairwise(points)]
-    turns = [complex(b[0], b[1]) / complex(a[0], a[1]) for a, b in pairwise(chords)]
-    alpha = sum(max(abs(math.atan2(t.imag, t.real)) - math.radians(30.0), 0.0) for t in turns)
-    beta = sum(over(math.atan2(c[2], math.hypot(c[0], c[1])), -0.15, 0.1) for c in chords)
-    to_end = complex(control[3][0] - scene.scan_ne_m[0], control[3][1] - scene.scan_ne_m[1])
-    off = to_end / complex(math.cos(scene.guide_rad), math.sin(scene.guide_rad))
+def expected(control: FloatArray, scene: Scene) -> dict[str, float]:
+    """Every term, for ten samples of the cubic."""
+    points = spline(control)(np.linspace(0.0, 1.0, 11))
+    north, east, up = points[1:].T
+    normal_m = (up - BASE_M - RISE_N * north - RISE_E * east) / math.hypot(1.0, RISE_N, RISE_E)
+    radar = 0.0
+    for each in RADARS:  # eq. 3
+        d = np.linalg.norm(points[1:] - each.centre_nea_m, axis=1)
+        detected = each.range_m**4 / (each.range_m**4 + d**4)
+        radar += detected[d <= each.range_m].sum()
+    outside = over(up, 300.0, 800.0) + over(north, 1_500.0, 5_500.0) + over(east, 1_500.0, 5_500.0)
+    gaps_m = np.array([zone_distance_m(zone, north, east) for zone in TASK.zones])
+    chords = np.diff(points, axis=0)
+    level = chords @ [1.0, 1j, 0.0]
+    alpha = np.maximum(np.abs(np.angle(level[1:] / level[:-1])) - math.radians(30.0), 0.0)
+    beta = over(np.arctan2(chords[:, 2], np.abs(level)), -0.15, 0.1)
+    off = (control[3] - (*scene.scan_ne_m, 0.0)) @ [1.0, 1j, 0.0] / cmath.rect(1.0, scene.guide_rad)
+    steering = alpha.sum() + beta.sum() + outside.sum() / (R_M / 20.0)
     return {
-        "length": 100.0 * sum(math.dist(a, b) for a, b in pairwise(control)) / (2.4 * R_M),
-        "height": 100.0 * (sum(z for _, _, z in points[1:]) / 10 - 300.0) / (800.0 - 300.0),
-        "guide": 100.0 * abs(math.atan2(off.imag, off.real)) / math.pi,
-        "crash": 100.0 * crash,
+        "length": 100.0 * np.linalg.norm(np.diff(control, axis=0), axis=1).sum() / (2.4 * R_M),
+        "height": 100.0 * (up.mean() - 300.0) / (800.0 - 300.0),
+        "guide": 100.0 * abs(cmath.phase(off)) / math.pi,
+        "crash": 100.0 * over(normal_m, D_S_M, math.inf).sum() / D_S_M,  # eq. 2
         "radar": 30.0 * radar,
-        "constraints": 100.0 * (alpha + beta + outside / (R_M / 20.0) + keep_out / D_S_M),
+        "constraints": 100.0 * (steering + over(gaps_m, D_S_M, math.inf).sum() / D_S_M),
     }
-
-
-def over(value: float, least: float, most: float) -> float:
-    return max(value - most, 0.0) + max(least - value, 0.0)
 
 
 @settings(max_examples=30)
@@ -131,7 +117,7 @@ def test_each_term_is_the_papers_equation_and_their_weighted_sum_the_cost(seed: 
     scene, x = a_scene(seed, Weights(**weights)), rng.random((8, VARIABLES))
     table, costs = cost_table(x, scene), cost(x, scene)
     for row, control in enumerate(control_points(x, scene)):
-        by_hand = expected([(n, e, z) for n, e, z in control.tolist()], scene)
+        by_hand = expected(control, scene)
         assert {name: column[row] for name, column in table.items()} == pytest.approx(
             by_hand, rel=1e-6, abs=1e-6
         )
@@ -174,17 +160,10 @@ def radar(north: float, east: float, range_m: float) -> Radar:
 def tangent_bearings(s: Place, r: Radar) -> list[float]:
     """Bearings of the two tangent points: where the circle meets Thales' circle over S and O."""
     s_, o = complex(*s), complex(*r.centre_nea_m[:2])
-    d = abs(o - s_)
-    towards_s = (s_ - o) / d
-    along = r.range_m / d
+    towards_s, along = (s_ - o) / abs(s_ - o), r.range_m / abs(s_ - o)
     aside = math.sqrt(1.0 - along**2)
     points = [o + r.range_m * towards_s * complex(along, side * aside) for side in (1, -1)]
-    return [math.atan2((p - s_).imag, (p - s_).real) for p in points]
-
-
-def turned(a: float, b: float) -> float:
-    """The angle from b to a, in -pi to pi."""
-    return math.atan2(math.sin(a - b), math.cos(a - b))
+    return [cmath.phase(p - s_) for p in points]
 
 
 def brute_force_guide(s: Place, t: Place, radars: list[Radar], overlap_m: float) -> float:
@@ -205,7 +184,7 @@ def brute_force_guide(s: Place, t: Place, radars: list[Radar], overlap_m: float)
     joined &= around[:, None] & around[None, :]
     _, label = connected_components(joined, directed=False)
     offsets = [
-        turned(bearing, straight)
+        math.remainder(bearing - straight, math.tau)
         for k in np.flatnonzero(label == label[first])
         for bearing in tangent_bearings(s, radars[k])
     ]
@@ -232,4 +211,4 @@ def test_the_guide_is_that_of_section_2_6_by_brute_force(
     s, t = place(0.0, rng.uniform(-5e3, 5e3)), place(100e3, rng.uniform(-5e3, 5e3))
     expected = brute_force_guide(s, t, radars, overlap_m)
     found = tangent_guide_rad(s, t, radars, overlap_m)
-    assert turned(found, expected) == pytest.approx(0.0, abs=1e-9)
+    assert math.remainder(found - expected, math.tau) == pytest.approx(0.0, abs=1e-9)

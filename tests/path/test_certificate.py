@@ -19,24 +19,17 @@ from companion.world.known_map import KnownMap
 
 # --- curves that nobody chose
 
-CASES, NIGHTLY_CASES = 40, 160
 BOUNDS = (
     "terrain clearance", "keep-out zone", "dead-man reach", "turn radius", "climb angle",
     "dive angle", "floor of the band", "ceiling of the band", "edge of the map",
 )  # fmt: skip
 
 
-@pytest.fixture
-def cases(request: pytest.FixtureRequest) -> int:
-    """How many random curves are looked at."""
-    return NIGHTLY_CASES if request.config.getoption("--all") else CASES
-
-
 def test_random_curves_keep_what_their_certificates_promise_and_what_is_safe_is_proven(
-    cases: int,
+    pytestconfig: pytest.Config,
 ) -> None:
     """Every bound is broken just beyond what a curve comes to, and kept just within."""
-    safe = 0
+    safe, cases = 0, 160 if pytestconfig.getoption("--all") else 40
     for seed in range(cases):
         case = random_case(np.random.default_rng([9, seed]))
         around, real, told = case.surroundings(), truth(case, samples=100), case.certificate()

@@ -7,12 +7,7 @@ import numpy as np
 import pytest
 from planning import ARDUCOPTER, limits
 
-from companion.path.envelope import (
-    COPTER,
-    Handling,
-    envelope_of,
-    flown_on_m,
-)
+from companion.path.envelope import COPTER, Handling, envelope_of, flown_on_m
 
 
 @pytest.mark.parametrize("speed", [3.0, 8.0, 150.0])

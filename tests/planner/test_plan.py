@@ -1,17 +1,21 @@
 """One plan: it is proven and passes a check that shares nothing with the proof, or says why not."""
 
+import ast
 import math
 from dataclasses import replace
 from itertools import count
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from brute_force import violations
-from planning import BLANK, TASK, TRUTH, column_distance_m
+from planning import BLANK, TASK, TRUTH
 from planning import ask as asked
 
+from companion import jit
 from companion.path.subpath import Pose
+from companion.planner import kernels
 from companion.planner.field import cost_to_go
 from companion.planner.plan import plan
 from companion.planner.price import Prices
@@ -109,22 +113,6 @@ def test_a_plan_is_proven_and_passes_an_independent_check_of_every_metre_or_says
         assert begins.tangent_nea == pytest.approx(request.start.tangent_nea, abs=1e-9)
         bend = request.start.curvature_nea_1_m
         assert begins.curvature_nea_1_m == pytest.approx(bend, rel=0.01, abs=1e-6)
-
-
-def test_the_check_of_every_metre_finds_what_is_wrong() -> None:
-    control = planned(ask(TASK, TRUTH)).subpath.control_nea_m
-    shaken, steep = control.copy(), control.copy()
-    shaken[2:4, 1] += [900.0, -900.0]
-    steep[-2, 2] += 800.0
-    hill = 0.97 * (np.array([3_000.0, 2_600.0, 0.0]) - control[-1])
-    for wrong, told in (
-        (control - [0, 0, 30.0], {"floor"}), (control - [0, 0, -380.0], {"ceiling"}),
-        (control + hill, {"clearance"}), (control - [1_500.0, 0, 0], {"map"}),
-        (shaken, {"turn"}), (steep, {"climb", "dive"}),
-    ):  # fmt: skip
-        assert told <= set(violations(wrong, TASK, TRUTH, from_rest=True))
-    over = column_distance_m(TRUTH, np.array([[6_000.0, 6_200.0, 540.0]]), 100.0)
-    assert over[0] == pytest.approx(40.0, abs=5.0)
 
 
 # --- where it leads
@@ -274,3 +262,39 @@ def test_the_search_ends_with_the_first_look_at_the_clock_after_time_is_up(
     assert next(clock) - looks <= 5  # it does not go on with other ways
     if isinstance(outcome, Planned):
         assert violations(outcome.subpath.control_nea_m, TASK, TRUTH, from_rest=True) == []
+
+
+# --- compiled and plain code are one
+
+
+@pytest.mark.parametrize(
+    ("start", "from_rest"), [((1e3, 1e3, 450.0), True), ((3_500.0, 3_100.0, 500.0), False)]
+)
+def test_plain_python_makes_the_same_plan(
+    start: Vector, from_rest: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    request = asked(TASK, TRUTH, start, from_rest=from_rest)
+    fast = planned(request)
+    monkeypatch.setattr(jit, "compiled", lambda function: function)
+    slow = planned(request)
+    assert fast.kernel == kernels.signature()
+    np.testing.assert_allclose(
+        fast.subpath.control_nea_m, slow.subpath.control_nea_m, rtol=1e-6, atol=1e-6
+    )
+    assert fast.cost == pytest.approx(slow.cost, rel=1e-9)
+    assert (fast.rank, fast.tries, fast.evaluations) == (slow.rank, slow.tries, slow.evaluations)
+    assert fast.certificate.proven
+    for name in ("clearance_m", "keep_out_m", "dead_man_m", "turn_radius_m", "climb_angle_rad"):
+        one, other = getattr(fast.certificate, name), getattr(slow.certificate, name)
+        assert one == pytest.approx(other, rel=1e-6), name
+
+
+@pytest.mark.parametrize("source", jit.SOURCES)
+def test_a_constant_that_compiled_code_imports_comes_from_such_a_source_too(source: str) -> None:
+    """numba freezes constants into the machine code."""
+    known = {"companion." + each.replace("/", ".") for each in jit.SOURCES}
+    file = Path(jit.__file__).parent / f"{source}.py"
+    for node in ast.walk(ast.parse(file.read_text("utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("companion"):
+            constants = [each.name for each in node.names if each.name.lstrip("_").isupper()]
+            assert not constants or node.module in known, constants

@@ -1,4 +1,4 @@
-"""The reference point along a leg, where a leg is left, and how a vehicle joins it."""
+"""The reference point along a leg, where a leg is left, how a vehicle joins it; and planes."""
 
 import math
 from dataclasses import replace
@@ -19,8 +19,11 @@ from companion.planner.procedure import (
     Reference,
     advance,
     entering_m_s,
+    follow,
     is_at_end,
+    may_leave,
     off_path_m,
+    sent_pose,
 )
 from companion.planner.settings import PlannerSettings, Task
 
@@ -45,19 +48,23 @@ def bent_leg(rules: Task = TASK) -> Leg:
     return leg_of(control, rules=rules)
 
 
-def step(reference: Reference, leg: Leg, tick_s: float, **keywords: Any) -> Reference:
-    """One tick of a vehicle that is always on its reference point."""
-    here = leg.subpath.pose(reference.length_m).position_nea_m
-    return advance(reference, leg, tick_s, here, **keywords)
+def step(
+    reference: Reference, leg: Leg, tick_s: float, behind_m: float = 0.0, **keywords: Any
+) -> Reference:
+    """One tick of a vehicle that is always so far behind its reference point."""
+    pose = leg.subpath.pose(reference.length_m)
+    return advance(
+        reference, leg, tick_s, pose.position_nea_m - behind_m * pose.tangent_nea, **keywords
+    )
 
 
 def flown(
-    leg: Leg, tick_s: float, *, goes_on: bool = False, until_m: float = math.inf
+    leg: Leg, tick_s: float, *, goes_on: bool = False, until_m: float = math.inf, **keywords: Any
 ) -> list[Reference]:
-    """The reference point of a vehicle that is always on it, tick by tick, for 400 s at most."""
-    references = [Reference()]
+    """The reference point, tick by tick, for 400 s at most."""
+    references, how = [Reference()], {"goes_on": goes_on, "until_m": until_m} | keywords
     while len(references) * tick_s < 400.0 and not is_at_end(references[-1], leg, until_m):
-        references.append(step(references[-1], leg, tick_s, goes_on=goes_on, until_m=until_m))
+        references.append(step(references[-1], leg, tick_s, **how))
     return references
 
 
@@ -84,26 +91,36 @@ def test_a_level_leg_is_flown_in_the_time_of_a_trapezium_and_stops_just_at_its_e
     slope=st.floats(-2.0, 2.0) | st.none(),
     goes_on=st.booleans(),
     until=st.floats(0.2, 1.2) | st.just(math.inf),
+    behind=st.sampled_from([0.0, 0.0, 0.0, -9.0, 0.3]),
 )
 def test_the_reference_point_is_nowhere_faster_than_proven_and_stops_where_it_is_told_to(
-    tick_s: float, task: Task, slope: float | None, goes_on: bool, until: float
+    tick_s: float, task: Task, slope: float | None, goes_on: bool, until: float, behind: float
 ) -> None:
-    """Nor than V, its acceleration and its climb rate allow.  slope: of a straight leg."""
+    """Nor than V, its acceleration and its climb rate allow.  slope: of a straight leg.
+
+    It gains speed the more slowly the farther behind the vehicle is (else that would overshoot when
+    it catches up), by one ahead it is not pulled along, and for one too far behind it waits.
+    """
     leg, steepness = bent_leg(task), 0.0
     if slope is not None:
         leg = leg_to(600.0, 0.0, slope * 600.0, rules=task)
         steepness = abs(slope) / math.hypot(1.0, slope)
     length_m = leg.subpath.length_m
     until_m, end_m = until * length_m, min(until, 1.0) * length_m
-    references = flown(leg, tick_s, goes_on=goes_on, until_m=until_m)
+    lag_m, gains = leg.motion.lag_m, min(1.0 - behind / 0.6, 1.0) * MOTION.gaining_m_s2
+    references = flown(leg, tick_s, goes_on=goes_on, until_m=until_m, behind_m=behind * lag_m)
     assert is_at_end(references[-1], leg, until_m)
+    waits = step(references[-2], leg, tick_s, 1.01 * lag_m, goes_on=goes_on)
+    assert waits == Reference(length_m=references[-2].length_m, speed_m_s=0.0)
+    stops = step(Reference(speed_m_s=V), leg, tick_s, goes_on=goes_on, until_m=0.1)  # told too late
+    assert stops.speed_m_s >= V - 2.0 * A * tick_s - 1e-9
     for before, after in pairwise(references):
         moved_m, left_m = after.length_m - before.length_m, length_m - before.length_m
         gained_m_s = after.speed_m_s - before.speed_m_s
         assert max(after.speed_m_s, moved_m / tick_s) <= V + 1e-9
         assert max(after.speed_m_s, moved_m / tick_s) * steepness <= CLIMB_RATE + 1e-6
         assert 0.0 <= moved_m <= end_m - before.length_m + 1e-9
-        assert -2.0 * A * tick_s - 1e-9 <= gained_m_s <= MOTION.gaining_m_s2 * tick_s + 1e-9
+        assert -2.0 * A * tick_s - 1e-9 <= gained_m_s <= gains * tick_s + 1e-9
         if until < math.inf:
             room_m = max(end_m - before.length_m, 0.0)
             assert after.speed_m_s <= math.sqrt(2.0 * A * room_m) + 2.0 * A * tick_s
@@ -124,29 +141,6 @@ def test_it_is_asked_to_rise_and_to_sink_no_harder_than_a_vehicle_does(
     up_m_s = [r.speed_m_s * leg.subpath.pose(r.length_m).tangent_nea[2] for r in references]
     hardest_m_s2 = np.abs(np.diff(up_m_s)).max() / tick_s
     assert hardest_m_s2 == pytest.approx(MOTION.vertical_m_s2, rel=0.1)  # a hundred paces a leg
-
-
-@given(tick_s=ticks)
-def test_it_waits_for_a_vehicle_that_does_not_follow_and_goes_on_with_it(tick_s: float) -> None:
-    leg, reference = leg_to(2_000.0, 0.0, 0.0), Reference()
-    bound = max(V * 1.0, 2.0 * LIMITS.tracking_error_m)
-    for _ in range(int(60.0 / tick_s)):
-        reference = advance(reference, leg, tick_s, np.zeros(3), goes_on=False)
-        assert reference.length_m <= bound + V * tick_s
-    assert reference.speed_m_s == 0.0
-    after = advance(reference, leg, tick_s, np.array([1_000.0, 0.0, 0.0]), goes_on=False)
-    assert after.length_m > reference.length_m
-    assert after.speed_m_s > 0.0
-
-
-@pytest.mark.parametrize(("behind", "share"), [(-9.0, 1.0), (0.0, 1.0), (0.3, 0.5), (0.6, 0.0)])
-def test_it_gains_speed_the_more_slowly_the_farther_behind_the_vehicle_is(
-    behind: float, share: float
-) -> None:
-    """Else the vehicle would overshoot when it catches up; by one ahead it is not pulled along."""
-    leg, vehicle = leg_to(2_000.0, 0.0, 0.0), np.array([100.0 - behind * MOTION.lag_m, 0.0, 0.0])
-    after = advance(Reference(length_m=100.0), leg, 0.1, vehicle, goes_on=True)
-    assert after.speed_m_s == pytest.approx(0.1 * share * MOTION.gaining_m_s2, abs=1e-5)
 
 
 @settings(max_examples=30)
@@ -273,3 +267,112 @@ def test_it_fades_smoothly_within_half_of_the_acceleration(
         assert np.linalg.norm(moved - tick_s * mean) <= SLOW.acceleration_m_s2 * tick_s**2
         offset = after
     assert offset.is_gone
+
+
+# --- vehicles that cannot stop: they hold on circles, and are sent to points ahead of them
+
+PLANE = PLANE_TASK.limits
+LOITER = PLANE.loiter_radius_m
+
+
+def plane_leg(turn_rad: float = 1.2) -> Leg:
+    """1,500 m that turn so far to the right."""
+    bearing = turn_rad * np.linspace(0.25, 1.0, 4)
+    steps = np.stack([np.cos(bearing), np.sin(bearing), np.full(4, 0.02)], axis=-1)
+    control = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)]) * 375.0
+    return leg_of(control + np.array([1_000.0, 1_000.0, 400.0]), rules=PLANE_TASK)
+
+
+@given(seed=st.integers(0, 10**6), turn=st.floats(-2.0, 2.0), aside_m=st.floats(-80.0, 80.0))
+def test_the_reference_is_the_nearest_point_of_the_path_never_goes_back_and_comes_to_its_end(
+    seed: int, turn: float, aside_m: float
+) -> None:
+    """Of a plane that flies so far beside it, from before its start to beyond its end."""
+    leg, reference, rng = plane_leg(turn), Reference(), np.random.default_rng(seed)
+    length_m = leg.subpath.length_m
+    for at_m in np.arange(-30.0, length_m + 60.0, 20.0):
+        pose, last_m = leg.subpath.pose(at_m), reference.length_m
+        across = np.array([-pose.tangent_nea[1], pose.tangent_nea[0], rng.normal(0.0, 0.05)])
+        beyond = (at_m - np.clip(at_m, 0.0, length_m)) * pose.tangent_nea
+        vehicle = pose.position_nea_m + beyond + aside_m * across
+        reference = follow(reference, leg, vehicle)
+        assert reference.length_m >= last_m
+        assert reference.length_m == pytest.approx(np.clip(at_m, 0.0, length_m), abs=3.0)
+        assert reference.speed_m_s == PLANE.speed_m_s
+    assert reference.length_m == length_m
+
+
+def test_where_a_path_comes_near_to_itself_it_is_not_cut_short() -> None:
+    control = [[0, 0, 400.0], [1_500, 0, 400], [1_500, 60, 400], [0, 60, 400]]
+    hairpin, reference = leg_of(control, rules=PLANE_TASK), Reference(length_m=200.0)
+    for at_m in np.arange(200.0, 700.0, 2.0):
+        other_side = hairpin.subpath.pose(at_m).position_nea_m + np.array([0.0, 35.0, 0.0])
+        reference = follow(reference, hairpin, other_side)
+        assert reference.length_m <= at_m + PLANE.turn_radius_m + 5.0 * PLANE.speed_m_s
+
+
+def test_the_point_that_is_sent_runs_over_onto_the_next_leg_and_stays_at_an_end() -> None:
+    leg = plane_leg()
+    over_m, end_m = leg.successor_at_m, leg.subpath.length_m
+    over = leg.subpath.pose(over_m)
+    control = over.position_nea_m + np.outer([0.0, 0.3, 0.6, 1.0], 900.0 * over.tangent_nea)
+    next_leg = leg_of(control, number=2, rules=PLANE_TASK)
+    for from_m, then, lead_m, place in (
+        (over_m - 60.0, next_leg, 110.0, next_leg.subpath.pose(50.0)),
+        (over_m - 60.0, next_leg, 40.0, leg.subpath.pose(over_m - 20.0)),
+        (end_m - 20.0, None, 110.0, leg.subpath.pose(end_m)),
+    ):
+        sent = sent_pose(Reference(length_m=from_m), leg, then, lead_m)
+        assert sent.point_nea_m == pytest.approx(place.point_nea_m)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5])
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_a_plane_leaves_its_circle_once_in_a_turn_and_joins_the_path_within_its_circle(
+    share: float, sense: float
+) -> None:
+    """A point mass that turns at most at LOITER / 2 flies to the point ahead of it (L1's aim).
+
+    About the start of a leg, or, taken over late, about any other point of it.
+    """
+    leg = plane_leg(turn_rad=0.6)
+    for first in np.linspace(0.0, math.tau, 3, endpoint=False).tolist():
+        widest = widest_m(leg, share * leg.subpath.length_m, sense, first)
+        assert widest <= LOITER + PLANE.tracking_error_m
+
+
+def widest_m(leg: Leg, at_m: float, sense: float, angle: float) -> float:
+    """How far off the path the plane comes once it has left the circle."""
+    start, step_m = leg.subpath.pose(at_m).position_nea_m, 0.1 * PLANE.speed_m_s
+    for _ in range(math.ceil(2.2 * math.pi * LOITER / step_m)):
+        angle += sense * step_m / LOITER
+        here = start + LOITER * np.array([math.cos(angle), math.sin(angle), 0.0])
+        course = angle + sense * math.pi / 2.0
+        velocity = (math.cos(course), math.sin(course), 0.0)
+        if may_leave(leg, at_m, (here[0], here[1], here[2]), velocity):
+            break
+    else:
+        pytest.fail("it never left its circle")
+    reference, widest = Reference(length_m=at_m), 0.0
+    for _ in range(400):
+        reference = follow(reference, leg, here)
+        if leg.subpath.length_m - reference.length_m < 1.2 * LOITER:
+            break  # it circles the end
+        aim = sent_pose(reference, leg, None, PLANE_TASK.envelope.lead_m).position_nea_m - here
+        error = math.remainder(math.atan2(aim[1], aim[0]) - course, math.tau)
+        most = step_m / (LOITER / 2.0)
+        course += min(max(error, -most), most)
+        here = here + step_m * np.array([math.cos(course), math.sin(course), 0.0])
+        nearest = leg.subpath.pose(reference.length_m).point_nea_m
+        widest = max(widest, math.dist(nearest[:2], here[:2]))
+    return widest
+
+
+@pytest.mark.parametrize(("off_m", "leaves"), [(0.5 * LOITER, True), (91.0, True), (93.0, False)])
+def test_a_plane_that_is_not_on_its_circle_does_not_leave_it(off_m: float, leaves: bool) -> None:
+    """It would be off its path at once; the way it flies does not matter."""
+    leg = plane_leg()
+    pose = leg.subpath.pose(0.0)
+    (north, east, _), (n, e, up) = pose.tangent_nea.tolist(), pose.point_nea_m
+    place, velocity = (n - off_m * east, e + off_m * north, up), (north, east, 0.0)
+    assert may_leave(leg, 0.0, place, velocity) is leaves

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from planning import column_distance_m
 from scipy.interpolate import RegularGridInterpolator
 
-from companion.geodesy import FloatArray
 from companion.world.columns import (
     Surface,
     distance_to_terrain_m,
@@ -32,26 +31,6 @@ def random_map(rng: np.random.Generator, registration_m: float = 0.0) -> KnownMa
     return replace(blank, upper_m=upper, seen=seen, registration_m=registration_m)
 
 
-def tops(known: KnownMap) -> FloatArray:
-    return np.where(np.isfinite(known.upper_m), known.upper_m, UNKNOWN_M)
-
-
-def surface_over(known: KnownMap, clearance_m: float, parts: float = 1.0) -> Surface:
-    """Of 900 m about the middle; parts: of a map whose cells are so many times smaller."""
-    return safe_surface(
-        known,
-        centre_ne_m=(MIDDLE[0] / parts, MIDDLE[1] / parts),
-        reach_m=900.0 / parts,
-        clearance_m=clearance_m,
-        unknown_m=UNKNOWN_M,
-    )
-
-
-def near_middle(rng: np.random.Generator, count: int, reach_m: float) -> FloatArray:
-    angle, far = rng.uniform(0, 2 * np.pi, count), reach_m * np.sqrt(rng.random(count))
-    return MIDDLE + far[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-
-
 @given(
     seed=seeds,
     clearance_m=st.floats(5.0, 260.0),
@@ -64,22 +43,20 @@ def test_every_point_over_the_safe_surface_keeps_the_clearance_to_columns_of_cel
     """Wherever the registration lets them be."""
     rng = np.random.default_rng(seed)
     known = replace(random_map(rng, registration_m), cell_m=CELL_M / parts)
-    surface = surface_over(known, clearance_m, parts)
-    ne = near_middle(rng, 300, 900.0) / parts  # up to the limit of its reach
-    altitude = surface.altitude_m(ne[:, 0], ne[:, 1]) + 1e-6 + rng.exponential(5.0, 300)
-    away = column_distance_m(replace(known, upper_m=tops(known)), np.column_stack([ne, altitude]))
-    assert (away >= clearance_m - 1e-6).all()
-
-
-def endless(known: KnownMap) -> KnownMap:
-    """The map with so much unknown ground about it that the points of a test see no end of it."""
-    return replace(
+    middle, reach_m = MIDDLE / parts, 900.0 / parts
+    surface = safe_surface(
         known,
-        north_min_m=known.north_min_m - 10 * known.cell_m,
-        east_min_m=known.east_min_m - 10 * known.cell_m,
-        upper_m=np.pad(known.upper_m, 10, constant_values=np.inf),
-        seen=np.pad(known.seen, 10),
+        centre_ne_m=(middle[0], middle[1]),
+        reach_m=reach_m,
+        clearance_m=clearance_m,
+        unknown_m=UNKNOWN_M,
     )
+    turn, far = rng.uniform(0.0, 2.0 * np.pi, 300), reach_m * np.sqrt(rng.random(300))
+    ne = middle + far[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    altitude = surface.altitude_m(ne[:, 0], ne[:, 1]) + 1e-6 + rng.exponential(5.0, 300)
+    tops = np.where(np.isfinite(known.upper_m), known.upper_m, UNKNOWN_M)
+    away = column_distance_m(replace(known, upper_m=tops), np.column_stack([ne, altitude]))
+    assert (away >= clearance_m - 1e-6).all()
 
 
 @given(
@@ -94,7 +71,14 @@ def test_the_distance_of_a_point_is_that_to_the_nearest_column_that_counts(
     known.seen[rng.random(known.seen.shape) < 0.3] = False
     points = rng.uniform((-300.0, -300.0, 0.0), (2_700.0, 2_700.0, 900.0), (10, 3))
     seen = replace(known, upper_m=np.where(known.seen, known.upper_m, -np.inf))
-    for seen_only, map_ in ((False, endless(known)), (True, seen)):
+    endless = replace(  # so much unknown ground about it that no point sees an end of it
+        known,
+        north_min_m=-10 * CELL_M,
+        east_min_m=-10 * CELL_M,
+        upper_m=np.pad(known.upper_m, 10, constant_values=np.inf),
+        seen=np.pad(known.seen, 10),
+    )
+    for seen_only, map_ in ((False, endless), (True, seen)):
         away = np.minimum(column_distance_m(map_, points), most_m)
         found = distances_to_terrain_m(known, points, most_m, seen_only=seen_only)
         assert found == pytest.approx(away)

@@ -7,13 +7,7 @@ import pytest
 
 from companion.geodesy import FloatArray
 from companion.world.known_map import Lattice
-from companion.world.near_map import (
-    LOOKS,
-    SIGHTINGS,
-    NearMap,
-    Sweep,
-    cell_for_m,
-)
+from companion.world.near_map import LOOKS, SIGHTINGS, NearMap, Sweep, cell_for_m
 
 LATTICE = Lattice(cell_m=0.25, north_min_m=-25.0, east_min_m=-25.0, shape=(200, 200))
 REACH_M, PERIOD_S = 16.0, 0.1
@@ -153,8 +147,10 @@ def test_a_post_that_is_watched_while_the_position_drifts_is_never_in_free_cells
             assert wrongly_free(near, thing + np.array(told)) == 0, k
 
 
-CELL = LATTICE.cell_of(5.5, 0.0)
-SHOWN = {"nothing": NOTHING, "a post": post(6.0, 0.0, 0.5), "says nothing": None}
+SHOWN = {
+    "nothing": NOTHING, "a post": post(6.0, 0.0, 0.5), "a wall": wall((5.5, -30.0), (5.5, 30.0)),
+    "says nothing": None,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(("story", "state"), [
@@ -169,6 +165,7 @@ SHOWN = {"nothing": NOTHING, "a post": post(6.0, 0.0, 0.5), "says nothing": None
     # what was met for a moment only is forgotten, what stands there is not
     ("11 a post, 590 says nothing", "occupied"), ("11 a post, 610 says nothing", "unknown"),
     ("41 a post, 610 says nothing", "occupied"),
+    ("3 a wall", "occupied"), ("3 a wall", "free before it"), ("3 a wall", "unknown behind it"),
 ])  # fmt: skip
 def test_a_cell_is_free_occupied_or_unknown_by_what_ten_sweeps_a_second_have_shown(
     story: str, state: str
@@ -178,8 +175,9 @@ def test_a_cell_is_free_occupied_or_unknown_by_what_ten_sweeps_a_second_have_sho
         sweeps, _, what = part.partition(" ")
         looked(near, SHOWN[what], int(sweeps), start_s=PERIOD_S * count)
         count += int(sweeps)
-    expected = (state == "free", state == "occupied")
-    assert (near.free()[CELL], near.occupied()[CELL]) == expected
+    state, _, where = state.partition(" ")
+    cell = LATTICE.cell_of({"before it": 4.5, "behind it": 6.5}.get(where, 5.5), 0.0)
+    assert (near.free()[cell], near.occupied()[cell]) == (state == "free", state == "occupied")
 
 
 def test_nothing_stays_free_without_a_sweep_nor_when_the_clock_begins_anew() -> None:
@@ -224,23 +222,6 @@ def test_an_echo_that_stays_in_free_cells_counts_there_whatever_lies_behind_it()
     assert wrongly_free(near, new) > 0
     looked(near, np.concatenate([barrier, new]), SIGHTINGS, start_s=1.0, error_m=0.5)
     assert wrongly_free(near, new[np.hypot(*new.T) < 5.82]) == 0
-
-
-def test_all_that_beams_have_passed_is_free_a_wall_is_occupied_and_behind_it_nothing_is_known() -> (
-    None
-):
-    near, blocked, columns = NearMap(LATTICE), NearMap(LATTICE), slice(90, 110)
-    looked(near, NOTHING, SIGHTINGS)
-    north, east = LATTICE.middles_m()
-    away = np.hypot(north, east)
-    assert near.free()[away < REACH_M - 0.3].all()
-    assert not near.free()[away > REACH_M].any()
-    assert not near.occupied().any()
-    looked(blocked, wall((5.0, -30.0), (5.0, 30.0)), SIGHTINGS)
-    row = LATTICE.cell_of(5.0, 0.0)[0]
-    assert blocked.free()[100 : row - 2, columns].all()
-    assert blocked.occupied()[row, columns].all()
-    assert not blocked.free()[row + 2 :, columns].any()
 
 
 def test_closed_is_where_something_stands_and_where_no_beam_comes_through() -> None:

@@ -1,6 +1,6 @@
-"""That there is no way is said only where there is none, and where there is none, at once.
+"""That there is no way is said only where there is none, and then at once; and a mission ends.
 
-And a way that only looks dear is taken.
+The argument that it ends is in `planner.progress`.
 """
 
 import math
@@ -12,13 +12,17 @@ import pytest
 import scipy.ndimage
 from hypothesis import given
 from hypothesis import strategies as st
+from planning import ask, hills
 
+from companion.campaign import families
 from companion.config import load_mission
 from companion.geodesy import BoolArray, FloatArray
 from companion.planner.field import cost_to_go
 from companion.planner.offline import OfflineFlight
-from companion.planner.request import Refusal
-from companion.planner.settings import Task
+from companion.planner.plan import plan
+from companion.planner.progress import SLACK, Progress
+from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
+from companion.planner.settings import PlannerSettings, Task
 from companion.planner.way_out import blocked_at
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.simulated import true_map
@@ -126,7 +130,7 @@ def _joined(free: BoolArray) -> bool:
 def flown_past_a_ridge(gap_m: float, *, is_known: bool) -> OfflineFlight:
     """Of a ridge 6 km high from edge to edge two peaks are so far apart."""
     east = [40e3 + side * (0.5 * gap_m + 400.0 * i) for side in (-1, 1) for i in range(120)]
-    ridge = planning.hills(*((50e3, at, 6e3, 800.0, 800.0) for at in east if -2e3 < at < 82e3))
+    ridge = hills(*((50e3, at, 6e3, 800.0, 800.0) for at in east if -2e3 < at < 82e3))
     task = replace(TASK, limits=replace(TASK.limits, north_m=(-5e3, 105e3), east_m=(0.0, 80e3)))
     blank = empty_map(CELL_M, task.limits.north_m, task.limits.east_m)
     truth, start = true_map(ridge, blank), (0.0, 60e3, 3_100.0)
@@ -154,3 +158,88 @@ def test_the_saddle_of_a_ridge_is_climbed_to_and_crossed() -> None:
     flight = planning.fly(TASK, ridge, (*HERE, 3_100.0), TARGET)
     assert flight.failure is None
     assert sum(flight.flown_m) < 2.5 * 2.0 * math.dist(HERE, (20e3, 30e3))
+
+
+# --- a mission that gets nowhere ends: a ridge whose gap the map shows, and no proof does
+#
+# The ridge is 6 km high, in cells of 250 m.  Through a gap of 2,332 m a path is proven just
+# below the ceiling, through one of 2,282 m none; guidance, which knows no turns, uses both.
+
+RANGE_M, RIDGE_NORTH_M, RIDGE_EAST_M = 20e3, (30e3, 100e3), (10e3, 50e3)
+RIDGE = Task(
+    limits=replace(
+        planning.LARGE, north_m=RIDGE_NORTH_M, east_m=RIDGE_EAST_M, tracking_error_m=15.0,
+        floor_amsl_m=2_978.0, ceiling_amsl_m=5_022.0, climb_angle_rad=math.radians(10.0),
+    ),
+    settings=PlannerSettings(scan_range_m=RANGE_M, safety_distance_m=480.0, planning_time_s=5.0),
+)  # fmt: skip
+MOUTH = (49_375.0, 30_000.0, 4_710.0)  # as high as it comes in front of the gap
+
+
+def at_the_mouth(gap_m: float, *, owed_m: float) -> PlanRequest:
+    """The question of a vehicle that hovers there, sees all and believes no guesses any more."""
+    aside = np.arange(0.5 * gap_m, 20e3, 398.55)
+    rows = [(50e3, 30e3 + east, 6_000.0, 800.0, 800.0) for east in (*aside, *-aside)]
+    blank = empty_map(RIDGE.cell_m, RIDGE_NORTH_M, RIDGE_EAST_M)
+    seen = np.ones(blank.shape, dtype=bool)
+    known = replace(blank, upper_m=true_map(hills(*rows), blank).upper_m, seen=seen, given=seen)
+    owes = Progress(record_m=0.0, owed_m=owed_m, seen=seen.size, believed_below_m=0.0)
+    return ask(RIDGE, known, MOUTH, target_ne_m=(90e3, 30e3), progress=owes)
+
+
+def test_who_owes_more_than_a_way_round_all_in_sight_is_told_that_no_way_on_was_found() -> None:
+    """With less it looks elsewhere first, for far more than was promised."""
+    looks = plan(at_the_mouth(2_282.0, owed_m=0.0))
+    assert isinstance(looks, Planned)
+    assert looks.progress.owed_m > RANGE_M
+    told = plan(at_the_mouth(2_282.0, owed_m=math.tau * RANGE_M - looks.progress.owed_m + 1.0))
+    assert isinstance(told, NotPlanned)
+    assert told.refusal is Refusal.NO_WAY_PROVEN
+
+
+def test_who_gets_on_flies_on_whatever_it_owes() -> None:
+    owed_m = 2.0 * math.tau * RANGE_M
+    through = plan(at_the_mouth(2_332.0, owed_m=owed_m))
+    assert isinstance(through, Planned)
+    assert through.subpath.control_nea_m[-1, 0] > MOUTH[0]
+    assert through.progress.owed_m <= owed_m
+
+
+@pytest.mark.parametrize("owed_m", [0.0, 300.0])
+def test_a_way_out_of_what_is_too_near_pays_nothing_back(owed_m: float) -> None:
+    """Else a mission that begins each round with one would go round for ever."""
+    owes = Progress(record_m=5_000.0, owed_m=owed_m, expected_m=6_000.0, believed_below_m=4_000.0)
+    out = plan(ask(planning.TASK, planning.TRUTH, (2_300.0, 4_600.0, 600.0), progress=owes))
+    assert isinstance(out, Planned)
+    assert out.is_escape
+    assert out.progress == owes
+
+
+# --- and any other
+
+R_M, ALLOWED_M = 1_000.0, 300.0
+
+
+@given(st.lists(st.tuples(st.floats(200.0, 900.0), st.floats(0.0, 400.0)), min_size=20))
+def test_between_records_no_more_is_paid_than_way_is_gained_and_a_stop_costs(
+    legs: list[tuple[float, float]],
+) -> None:
+    progress, left_m, paid_m, records, least_m = Progress(), 1e5, 0.0, 0, 1e9
+    for cost_m, excess_m in legs:
+        records, least_m = records + (left_m < least_m), min(left_m, least_m)
+        progress = progress.at(left_m, 0.0, seen=1, few=0.0)
+        if (owed_m := progress.owing(excess_m, R_M)) > ALLOWED_M:
+            break  # it stops
+        left_m, paid_m = left_m - cost_m + excess_m, paid_m + cost_m
+        progress = replace(progress, owed_m=owed_m, expected_m=left_m)
+    assert paid_m <= 1e5 - left_m + len(legs) * SLACK * R_M + records * ALLOWED_M + 1e-6
+
+
+@pytest.mark.parametrize(("seed", "index", "most"), [(555001, 7, 30), (20261128, 24, 20)])
+def test_no_loop_is_flown_again_and_again(seed: int, index: int, most: int) -> None:
+    """Legs: 33 before excess was counted, then 18; 29 before guesses were given up, then 11."""
+    world = families.world("gathered", seed, index)
+    truth = true_map(world.terrain, families.unseen(world))
+    flight = planning.fly(world.task, truth, world.start_nea_m, *world.targets_ne_m)
+    assert flight.failure is None
+    assert len(flight.legs) <= most
