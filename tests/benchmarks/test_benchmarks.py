@@ -15,7 +15,8 @@ import optimum
 import pytest
 import running
 from campaign_rows import row
-from running import Found, least, main, most
+from certificate import certificate
+from running import Bar, Found, least, main, most
 from scipy.sparse.csgraph import dijkstra
 from woods import a_star
 
@@ -73,6 +74,11 @@ def test_a_missed_bar_and_a_word_that_is_none_of_the_choices_end_it_with_a_code(
     code, _, said = run("--only c")
     assert code == 2
     assert "invalid choice: 'c'" in said
+
+
+def test_certificates_are_held_to_brute_force() -> None:
+    bars = [line for line in certificate(cases=3, seed=5) if isinstance(line, Bar)]
+    assert [bar.kept for bar in bars] == [True, True]
 
 
 IMPORT = """
