@@ -200,7 +200,7 @@ def _worst(campaign: Campaign) -> list[Sheet]:
             rows.drop_nulls("clearance_least_m"),
             -nearest,
             pl.format("{} m", nearest.round(1))
-            + pl.format(" at {} s", at_s.round().cast(int)).fill_null(""),
+            + pl.format(" at {} s", at_s.round().cast(int, strict=False)).fill_null(""),
         ),
     }
     sheets = []

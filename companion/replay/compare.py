@@ -189,6 +189,8 @@ class Replay:
         except (DamagedInputError, InputError):
             raise
         except Exception as error:  # noqa: BLE001 - the session's own: the flight's end, perhaps
+            if call[0] == "start":  # there is no session
+                return None, error
             raised, output = error, feeder.session.take_output()
         clock = feeder.session.clock
         found.now_s, found.flown_s = clock.now_s, self._flown_before_s + clock.passed_s

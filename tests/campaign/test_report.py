@@ -52,8 +52,11 @@ def test_the_page_loads_nothing_and_says_what_follows_and_the_terminal_says_it_t
 
 @pytest.mark.parametrize(
     ("count", "values"),
-    [(0, {}), (1, {}), (1, LOST), (30, LOST), (3, LOST | EVILS)],
-    ids=["nothing", "one run", "one failure", "failures", "evil"],
+    [
+        *((0, {}), (1, {}), (1, LOST), (30, LOST), (3, LOST | EVILS)),
+        (1, {"clearance_least_t_s": float("nan")}),
+    ],
+    ids=["nothing", "one run", "one failure", "failures", "evil", "at no time"],
 )
 def test_there_is_a_page_of_any_runs_on_which_their_words_are_text(
     tmp_path: Path, count: int, values: Row

@@ -115,6 +115,21 @@ def test_a_plan_is_proven_and_passes_an_independent_check_of_every_metre_or_says
         assert begins.curvature_nea_1_m == pytest.approx(bend, rel=0.01, abs=1e-6)
 
 
+def test_the_check_of_every_metre_finds_what_is_wrong() -> None:
+    """Else that nothing is found would say nothing, here and in what is flown offline."""
+    control = planned(ask(TASK, TRUTH)).subpath.control_nea_m
+    shaken, steep = control.copy(), control.copy()
+    shaken[2:4, 1] += [900.0, -900.0]
+    steep[-2, 2] += 800.0
+    hill = 0.97 * (np.array([3_000.0, 2_600.0, 0.0]) - control[-1])
+    for wrong, told in (
+        (control - [0, 0, 30.0], {"floor"}), (control - [0, 0, -380.0], {"ceiling"}),
+        (control + hill, {"clearance"}), (control - [1_500.0, 0, 0], {"map"}),
+        (shaken, {"turn"}), (steep, {"climb", "dive"}),
+    ):  # fmt: skip
+        assert told <= set(violations(wrong, TASK, TRUTH, from_rest=True))
+
+
 # --- where it leads
 
 

@@ -76,6 +76,16 @@ def test_the_error_that_ended_a_flight_is_shown_again_at_its_place(
     assert replayed(run).difference.t_s == pytest.approx(20.0, abs=0.2)
 
 
+def test_a_companion_that_cannot_begin_in_a_replay_differs_and_nothing_recorded_is_damaged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fly_short(tmp_path / "run", until_s=5.0)
+    monkeypatch.setattr("companion.replay.feed.Session", lambda *_, **__: 1 / 0)
+    found = replayed(tmp_path / "run")
+    assert (found.damaged, found.is_identical) == ("", False)
+    assert str(found.difference).startswith("t 0.000 s: start.error: recorded nothing, replayed")
+
+
 @pytest.mark.parametrize("is_said", [True, False])
 def test_a_frame_that_was_not_sent_is_left_out_if_it_is_said_so(
     tmp_path: Path, is_said: bool

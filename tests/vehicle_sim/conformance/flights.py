@@ -111,12 +111,19 @@ def records(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def read_recording(path: Path) -> Recording:
-    """The flight in this file, a .tlog or .tlog.xz."""
-    data = path.read_bytes()
-    told = list(records(lzma.decompress(data) if path.suffix == ".xz" else data))
+    """The flight in this file, a .tlog or .tlog.xz.  InputError if it cannot be read."""
+    try:
+        data = path.read_bytes()
+        data = lzma.decompress(data) if path.suffix == ".xz" else data
+    except (OSError, lzma.LZMAError) as error:
+        rule = f"cannot be read ({getattr(error, 'strerror', error)})"
+        raise InputError("LOG", str(path), rule, "Name a .tlog or .tlog.xz.") from None
+    told = list(records(data))
     raw = [Heard((time_us - told[0][0]) * 1e-6, frame) for time_us, frame in told]
     beats = (one for one in raw if one.number == _HEARTBEAT)
-    beat = next(one for one in beats if one.message.autopilot in _FIRMWARES)
+    beat = next((one for one in beats if one.message.autopilot in _FIRMWARES), None)
+    if beat is None:
+        raise InputError("LOG", str(path), "no autopilot speaks in it", "Name a .tlog or .tlog.xz.")
     clock = Clock(
         # zeros at the end of a payload are left out
         (one.at_s, int.from_bytes(one.frame[10 : 10 + min(4, one.frame[1])], "little") * 1e-3)

@@ -6,6 +6,7 @@ can fail.
 
 import functools
 import struct
+from pathlib import Path
 
 import pytest
 from harness import Heard
@@ -15,6 +16,7 @@ from recordings import recording
 from conformance import AGREED, compare
 from conformance.flights import Recording, Side, flight_of, play, read_recording
 from conformance.rows import Row
+from vehicle_sim.errors import InputError
 
 COPTER, PX4 = "arducopter-gps-loss.tlog", "px4-gps-loss.tlog"
 EACH = pytest.mark.parametrize(
@@ -80,3 +82,13 @@ def test_each_kind_of_row_fails_of_a_side_that_says_something_else_half_as_often
         kinds |= {row.kind for row in rows_of(flight, flight.side)}
         fail |= {row.kind for row in rows_of(flight, Side(said)) if not row.agrees}
     assert kinds == fail
+
+
+@pytest.mark.parametrize("suffix", ["", ".xz"])
+def test_what_is_no_recorded_flight_is_refused_in_one_line(tmp_path: Path, suffix: str) -> None:
+    for content in (b"", b"junk" * 9, recording(PX4).read_bytes()[:40]):
+        log = tmp_path / f"{PX4}{suffix}"
+        log.write_bytes(content)
+        with pytest.raises(InputError, match=r"cannot be read|no autopilot speaks in it") as told:
+            read_recording(log)
+        assert "\n" not in str(told.value)
