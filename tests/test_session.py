@@ -414,7 +414,8 @@ def test_hold_frames_and_a_farewell_put_a_vehicle_that_flies_for_us_on_hold() ->
     it = flying()
     before = it.session.state
     [hold] = messages(it.session.hold_frames())
-    assert it.session.state is before
+    [said] = messages(it.session.final_text("x"))
+    assert (said.text, it.session.state is before) == ("ended, failed: x", True)
     again, text, heartbeat = messages(deepcopy(it.session).farewell().frames)
     for each in (hold, again):
         assert (each.command, each.param2) == (176, BRAKE)

@@ -3,15 +3,17 @@
 import tempfile
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from companion.campaign import drawn_faults, drawn_world, families, judge
+from companion.campaign import drawn_faults, drawn_world, families, in_process, judge
 from companion.campaign.drawn_faults import FAMILIES, FaultScript, Way, ways
 from companion.campaign.in_process import Flight
 from companion.config import load_mission
+from companion.errors import InputError
 from companion.mission.state import Reason
 from companion.world.zones import CircleZone
 from vehicle_sim import faults
@@ -257,3 +259,12 @@ def test_faults_are_judged_in_lidar_missions_too() -> None:
     for row in touching.truth:
         row["mode"] = "LOITER"  # a pilot
     assert said in judge.judged(touching, world, "")["excused"]
+
+
+def test_without_a_simulator_that_can_say_what_may_go_wrong_there_is_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for installed in ([], [SimpleNamespace(load=lambda: print)]):  # none, or an older one
+        monkeypatch.setattr(in_process, "entry_points", lambda found=installed, **_: found)
+        with pytest.raises(InputError, match=r"^[^\n]*Install the project again[^\n]*$"):
+            in_process.simulator.__wrapped__()

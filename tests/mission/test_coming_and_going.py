@@ -3,7 +3,19 @@
 from collections.abc import Callable
 
 import pytest
-from made_up import EACH, HOME_AMSL_M, OVER, SITUATIONS, TICK_S, Craft, calm, moving, tell
+from made_up import (
+    EACH,
+    HOME_AMSL_M,
+    OVER,
+    SITUATIONS,
+    TICK_S,
+    Craft,
+    calm,
+    led,
+    moving,
+    tell,
+    told,
+)
 
 from companion.mission import events
 from companion.mission.changes import OrderResult
@@ -25,6 +37,22 @@ def test_the_companion_that_comes_second_ends_without_a_command_once_it_is_certa
         craft.hear(events.DuplicateId(time_s=craft.now_s, certain=certain, news=certain))
         craft.run_for(0.8)
     assert not moving(craft.commands)
+    assert craft.end().reason == Reason.NOT_ALONE.text
+    assert not is_under_control(craft.state)
+
+
+@EACH
+def test_one_that_took_over_too_soon_after_a_restart_yields_to_the_first_as_well(
+    traits: VehicleTraits,
+) -> None:
+    """With the path of the companion before it, which it hears only then."""
+    craft = told(led(traits), 5.0, Craft.restart, 2.5)
+    assert craft.state.has_had_control
+    for certain in (False, True):
+        count = len(moving(craft.commands))
+        craft.hear(events.DuplicateId(time_s=craft.now_s, certain=certain, news=certain))
+        craft.run_for(0.7)
+    assert len(moving(craft.commands)) == count
     assert craft.end().reason == Reason.NOT_ALONE.text
     assert not is_under_control(craft.state)
 

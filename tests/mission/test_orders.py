@@ -282,6 +282,18 @@ def test_a_fence_across_the_path_or_around_it_stops_the_vehicle_and_plans_anew(
     assert craft.sent(Plan)[-1].request.from_rest
 
 
+def test_a_path_from_before_a_restart_is_not_gone_on_with_across_a_fence_that_is_read_then() -> (
+    None
+):
+    craft = told(flying(), Craft.restart, Phase.PREPARING)
+    assert craft.state.path is not None
+    count, plans = len(craft.sent(events.Setpoint)), len(craft.sent(Plan))
+    craft.hear(drawn(craft, AHEAD_NE_M, 500.0))
+    craft.run_until(lambda craft: len(craft.sent(Plan)) > plans)
+    assert not [setpoint for setpoint in craft.sent(events.Setpoint)[count:] if not setpoint.stay]
+    assert craft.sent(Plan)[-1].request.from_rest
+
+
 def test_a_fence_that_does_not_touch_the_path_changes_the_next_plan_and_the_band_only() -> None:
     craft = flying()
     before = craft.state.flight

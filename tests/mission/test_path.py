@@ -22,7 +22,9 @@ from made_up import (
     Craft,
     flying,
     led,
+    now,
     position,
+    told,
 )
 from made_up_plans import LEG_M
 from renewed import deep, replace
@@ -91,6 +93,20 @@ def test_setpoints_lead_along_the_leg_nose_ahead_to_rest_at_its_target() -> None
         assert setpoint.yaw_rad == pytest.approx(math.pi / 4, abs=0.02)  # at its target, too
     assert setpoints[-1].velocity_nea_m_s == (0.0, 0.0, 0.0)
     np.testing.assert_allclose(setpoints[-1].position_nea_m[:2], (20_000.0, 20_000.0), atol=1.0)
+
+
+def test_setpoints_wait_for_a_vehicle_that_falls_behind_and_go_on_when_it_follows() -> None:
+    craft = told(flying(), now(follows=False, velocity=(0.5, 0.5, 0.0)))
+    ahead = [s for _ in range(100) for s in craft.tick() if isinstance(s, Setpoint)]
+    leads = [math.dist(s.position_nea_m, craft.here) for s in ahead]
+    assert len(leads) > 10
+    assert max(leads) <= SPEED_M_S * 1.0 + SPEED_M_S * TICK_S
+    assert ahead[-1].velocity_nea_m_s == (0.0, 0.0, 0.0)
+    while math.dist(craft.here, craft.sent(Setpoint)[-1].position_nea_m) > 4.5:  # it catches up
+        craft.drift((30.0, 30.0, 0.0))
+        craft.tick()
+    craft.follows = True
+    assert math.hypot(*craft.run_for(70.0).velocity) == pytest.approx(SPEED_M_S)
 
 
 def test_a_position_that_was_overtaken_or_comes_twice_changes_nothing() -> None:

@@ -95,6 +95,7 @@ ENDS_EARLY = "the recording ends early: .*\nidentical\n"  # as a power cut or a 
 NO_INPUTS = inputs_end_with(lambda rest: b"\xc1" + rest)
 DAMAGES: dict[str, tuple[Damage, int, str]] = {
     "nothing": (empty("flight.tlog", "journal.jsonl"), 2, "it holds nothing to compare a replay"),
+    "no file of inputs": (lambda run: (run / FILE).unlink(), 2, "RUN_DIR = .*cannot be read"),
     "no inputs": (inputs(b""), 2, "it does not begin like the inputs of a flight"),
     "other inputs": (inputs(packed([("companion-inputs", 99)])[0]), 2, "reads version 1"),
     "another phase": (another_phase, 1, "phase.phase: recorded 'landing', replayed 'preparing'"),

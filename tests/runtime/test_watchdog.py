@@ -102,6 +102,17 @@ def test_the_hold_is_sent_once_in_full_for_a_death_and_not_for_an_end(dies: bool
     assert rig.gate.is_shut is dies
 
 
+def test_that_the_decider_has_died_is_said_once_with_the_first_hold() -> None:
+    """A session that cannot even say so is put on hold all the same."""
+    for says, words in ((lambda why: [why.encode()], [b"the decider has died (x)"]), (None, [])):
+        rig, ended = Rig(), threading.Event()
+        rig.watchdog._session.final_text = says  # type: ignore[assignment, method-assign]
+        rig.watchdog.died("x")
+        ended.set()
+        rig.watchdog.watch(ended)
+        assert rig.frames() == [HOLD, *words, HOLD, HOLD]
+
+
 def test_a_computer_that_was_asleep_for_a_minute_has_lost_nobody() -> None:
     """The watchdog slept as well: what it did not see is no sign of a death."""
     rig = Rig()
