@@ -19,6 +19,7 @@ def hills(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     """The flight over the hills, in this process; who looks at it is of the group `hills`."""
     folder, text = tmp_path_factory.mktemp("hills"), Path(HILLS_MISSION).read_text("utf-8")
     for far, near in ("north_m = 26000.0", "north_m = 18000.0"), ("24000.0", "20000.0"):
+        assert far in text
         text = text.replace(far, near, 1)  # past the mountain, and no farther
     (folder / "mission.toml").write_text(text, encoding="utf-8")
     return flown_here(folder / "run", HILLS, folder / "mission.toml", FAULTS, SEED)
