@@ -88,6 +88,7 @@ def step(before: State, event: Event, context: Context) -> tuple[State, list[Com
 
 def _break_off(state: State, reason: Reason, turn: Turn) -> None:
     """What follows from a row of `tables.FAULTS`."""
+    stopped.note_circle(state)
     if state.phase is Phase.HOLDING:
         stopped.broken_off(state, reason, turn)
     elif state.phase is Phase.HANDING_OVER or (

@@ -121,6 +121,8 @@ class Flight(Struct, kw_only=True):
     target: int = 0
     hover_nea_m: Vector | None = None
     """Where to hold while there is no leg."""
+    circle_nea_m: Vector | None = None
+    """The circle, which is proven, that a plane was led on before others held it."""
     loiter_checked: tuple[Task, Vector] | None = None
     """Rules and hold position of the last look at the zones about a plane's circle."""
     plan_id: int = 0

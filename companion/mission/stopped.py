@@ -17,7 +17,7 @@ a dead part of the companion has ended the mission.
 
 import math
 
-from companion.mission import phases, way_back
+from companion.mission import events, phases, way_back
 from companion.mission.battery import gives_up_for_battery, warn_of_battery
 from companion.mission.decisions import (
     ASK_AGAIN_S,
@@ -38,7 +38,7 @@ from companion.mission.flying import looks_at_circle
 from companion.mission.following import come_to_rest, send_hold
 from companion.mission.health import TRUST_S
 from companion.mission.mission import EndAction, Fallback
-from companion.mission.phases import ORDERED, TAKEN, TAKES_OVER, By, Reason, Trigger
+from companion.mission.phases import ON_PATH, ORDERED, TAKEN, TAKES_OVER, By, Reason, Trigger
 from companion.mission.state import State, Way
 from companion.mission.tables import is_ours, parting, stays_down, takeover_reason, wanted_fallback
 from companion.mission.way_back import begins_at_home, home_ne_m, is_above_home
@@ -52,6 +52,7 @@ _MAX_STOPS = 100
 and after 24 in front of a wall with one gap (docs/lab/benchmarks.md)."""
 _PAUSE_S = 2.0  # between attempts to plan from rest
 _SENSOR_S = 15.0  # for a sensor to see again, before each of them
+_CIRCLES = 2.5  # loiter radii: what circles a place, or beside it, is there
 _THERE_M = 1.0
 _SETTLED = 0.8  # tracking errors: with one it would have left its next path at once
 _SETTLE_S = 30.0  # for a vehicle that does not come quite to rest
@@ -60,7 +61,6 @@ _OBEY_S = 60.0  # for the end action's mode, and for a descent that stands still
 _SINKING_M_S = 0.1
 _ANSWER_S = 60.0
 _ASKS_ABOUT = 2
-_CIRCLES = 2.5  # loiter radii: what circles its target is there
 _TOLD_TO_STAY_S = 1.0  # a setpoint may be lost: an end in guided mode is told several times
 _STAYS_DOWN_S = 10.0  # ten times asked for
 _LANDS_WITHIN = 1.5  # loiter radii
@@ -78,6 +78,26 @@ def holding(state: State, held: phases.Holding, event: Event, turn: Turn) -> Non
     if held.why is Reason.LINK_LOST:
         return _heard_again(state, event, turn)
     return _HELD_BY[held.why.by](state, held, event, turn)
+
+
+def note_circle(state: State) -> None:
+    """Before others hold a plane that was led: the circle that it comes back to, if it was on one.
+
+    Each that its autopilot holds it on lies a radius beside the last, and nobody has proven it.
+    """
+    path, flight = state.path, state.flight
+    if state.phase in ON_PATH or state.held_by is By.SETPOINTS:
+        circles = not state.vehicle.traits.hovers and (path is None or path.circling)
+        flight.circle_nea_m = flight.hover_nea_m if circles else None
+
+
+def _circle_beside(state: State) -> events.Vector | None:
+    """That circle, unless the plane is far away from it by now."""
+    circle, position = state.flight.circle_nea_m, state.vehicle.position_nea_m
+    if circle is None or position is None:
+        return None
+    beside_m = _CIRCLES * state.task.limits.loiter_radius_m
+    return circle if math.dist(circle[:2], position[:2]) <= beside_m else None
 
 
 def broken_off(state: State, reason: Reason, turn: Turn) -> None:
@@ -175,7 +195,7 @@ def _take_again(state: State, event: Event, turn: Turn, *, given_back: bool = Tr
     elif not _is_trusted(state):
         come_to_rest(state)
     elif state.vehicle.mode is Mode.GUIDED:
-        come_to_rest(state)
+        come_to_rest(state, _circle_beside(state))
         resumed(state, turn)
     elif state.held_for is not Reason.STREAM_LOST:
         _ask_for_guided(state, event, turn)

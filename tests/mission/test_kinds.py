@@ -16,6 +16,7 @@ from made_up import (
     calm,
     flying,
     led,
+    now,
     short_legs,
     tell,
     told,
@@ -201,6 +202,21 @@ def test_a_plane_that_is_told_to_return_circles_one_place_until_it_leaves_for_ho
     assert len(held) > 10
     for place in held:
         assert place == pytest.approx(circled, abs=0.5)
+
+
+@PLANES
+def test_a_plane_that_loses_its_position_on_its_circle_comes_back_to_that_circle(
+    traits: VehicleTraits,
+) -> None:
+    """It alone is proven: by each circle beside the last it came nearer to a hill, and hit it."""
+    craft = calm(traits, not_planned).run_until(lambda craft: craft.state.flight.failures)
+    circled = craft.state.flight.hover_nea_m
+    for _ in range(4):
+        told(craft.run_for(5.0), now(fix=False), 4.0, now(fix=True), 6.0)
+        sent = craft.sent(Setpoint)[-1]
+        assert sent.stay
+        assert sent.position_nea_m == pytest.approx(circled, abs=0.5)
+    assert Reason.NO_FIX in {craft.state.vehicle.last_distrust}
 
 
 def test_a_plane_that_lands_too_far_from_where_it_was_to_land_has_not_arrived() -> None:
