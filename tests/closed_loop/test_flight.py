@@ -53,7 +53,7 @@ from vehicle_sim.world import read_world
 pytestmark = [pytest.mark.closed_loop, pytest.mark.xdist_group("hills")]
 TICK_S = 0.15  # a position, and its rounding
 WIDTH = 80
-MOST_BYTES = 1_000_000
+MOST_BYTES = 600_000
 """The operating system refuses more than so many bytes of any file of the companion's."""
 FLY = (
     f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({MOST_BYTES},) * 2)\n"
