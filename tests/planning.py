@@ -43,6 +43,11 @@ _COPTER = Limits(
     east_m=(0.0, 8_000.0),
     tracking_error_m=5.0,
 )
+BENT = replace(
+    _COPTER, turn_radius_m=400.0, climb_angle_rad=0.1, dive_angle_rad=0.15, ceiling_amsl_m=800.0,
+    north_m=(1_500.0, 5_500.0), east_m=(1_500.0, 5_500.0),
+)  # fmt: skip
+"""So that random curves break every bound now and then."""
 LARGE = replace(
     _COPTER, speed_m_s=150.0, acceleration_m_s2=5.0, climb_rate_m_s=25.0, turn_radius_m=2_500.0,
     climb_angle_rad=0.17, dive_angle_rad=0.17, floor_amsl_m=3_000.0, ceiling_amsl_m=5_000.0,

@@ -76,7 +76,7 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str,
         ending, reason = case.ending(is_cut=is_cut)
         if ending.startswith("unexplained"):
             known.append(f"{ending}: {reason}")
-        elif not case.done and ending not in _THERE:
+        elif not case.happenings and ending not in _THERE:
             known.append(f"{ending} with nothing wrong: {reason}")
         columns["ending"], columns["excused"] = ending, "; ".join(excused) or None
         columns["reason"] = None if ending == "arrived" else reason or None
@@ -129,11 +129,11 @@ def _points(rows: Sequence[dict[str, Any]]) -> FloatArray:
 class _Case:
     """A flight as it is judged: where the vehicle truly was in the air.
 
-    That is from when its mission first flew: N moments.  What is said to go wrong is in `done`.
+    That is from when its mission first flew: N moments.  `happenings`: what is said to go wrong.
     """
 
-    def __init__(self, flight: Flight, drawn: DrawnWorld, done: Sequence[Happening]) -> None:
-        self.flight, self.drawn, self.done = flight, drawn, done
+    def __init__(self, flight: Flight, drawn: DrawnWorld, happenings: Sequence[Happening]) -> None:
+        self.flight, self.drawn, self.happenings = flight, drawn, happenings
         self.airborne_s = min((e["t_s"] for e in flight.entries(phase="flying")), default=math.inf)
         self.begun_s = min((e["t_s"] for e in flight.entries(kind="leg")), default=-math.inf)
         """When its first subpath was begun, by the journal; -inf: none was."""
@@ -196,7 +196,7 @@ class _Case:
     def excuses(self) -> dict[str, BoolArray]:
         """Why something does not count against it, and when; (N,) each."""
         known = dict[str, BoolArray]()
-        for entry in self.done:
+        for entry in self.happenings:
             row = entry.fault.known
             if row.excuse and entry.sets.get(row.excuse_needs, True):
                 since = self.t_s >= entry.at_us / 1e6
@@ -254,7 +254,7 @@ class _Case:
 
     def _brought(self, what: str) -> Iterator[tuple[float, dict[str, Any], Mapping[str, Any]]]:
         """When a ground station told of one more, the truth then, and what its line sets."""
-        for entry in self.done:
+        for entry in self.happenings:
             at_s = entry.at_us / 1e6
             row = next((row for row in self.flight.truth if row["t_s"] >= at_s - 1e-3), None)
             if entry.fault.known.brings == what and row is not None:
@@ -319,7 +319,7 @@ class _Case:
             return "unexplained: no reason", f"{phase}, {mode}"
         disarmed = reason == Reason.DISARMED.text  # in the last tick: no truth came after it
         if last["landed"] or not last["armed"] or disarmed:
-            may_fall = any(entry.fault.known.may_fall for entry in self.done)
+            may_fall = any(entry.fault.known.may_fall for entry in self.happenings)
             return ("fell" if may_fall else "landed"), reason
         if mode in LANDS | RETURNS:
             return ("landed" if mode in LANDS else "returned"), reason
@@ -329,7 +329,7 @@ class _Case:
         end_us = 1e6 * end["t_s"] if end else math.inf
         out_of_reach = any(
             entry.at_us <= end_us < (math.inf if entry.fault.once else entry.until_us)
-            for entry in self.done
+            for entry in self.happenings
             if entry.fault.known.out_of_reach
         )
         held = mode in HOLDS or is_cut or out_of_reach or not limits.hovers

@@ -22,7 +22,7 @@ from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
 from companion.planner.settings import Task
 from companion.world.columns import distance_to_terrain_m
 from companion.world.known_map import proven_range_m
-from companion.world.zones import nearest
+from companion.world.zones import Zone, nearest
 
 _STUCK_S = 30.0  # the reference point waits no longer for a vehicle that does not follow
 _ANSWER_SLACK_S = 60.0
@@ -85,11 +85,16 @@ def looks_at_circle(state: State, turn: Turn) -> bool:
     led = vehicle.mode is Mode.GUIDED and vehicle.distrust is None and not state.is_silent
     if (task is state.task and place == hover) or not led:
         return False
-    zone, gap_m = nearest(state.task.zones, hover[0], hover[1])
-    if zone is not None and gap_m < state.task.zone_clearance_m - _CIRCLE_SLACK_M:
+    if (zone := zone_beside(state.task, hover)) is not None:
         turn.warn(f"circling too near to zone {zone.name}")
     flight.loiter_checked = state.task, hover
     return True
+
+
+def zone_beside(task: Task, place: Vector) -> Zone | None:
+    """The zone that a circle about this place comes too near to."""
+    zone, gap_m = nearest(task.zones, place[0], place[1])
+    return zone if gap_m < task.zone_clearance_m - _CIRCLE_SLACK_M else None
 
 
 def _lead(state: State, stage: phases.Led, path: OnPath, event: Position, turn: Turn) -> None:
@@ -241,7 +246,7 @@ def _on_plan(state: State, stage: phases.Flying, event: events.PlanReady, turn: 
         if isinstance(outcome, NotPlanned):
             flight.refusal, flight.broken = outcome.refusal, outcome.broken
             if outcome.refusal is not was and outcome.place_ne_m is not None:  # proven, and news
-                north, east = (metres / 1000.0 for metres in outcome.place_ne_m)
+                north, east = (along_m / 1000.0 for along_m in outcome.place_ne_m)
                 turn.warn(f"no way: closed {north:.1f} km N, {east:.1f} km E of origin")
             is_led = stage.path is not None and not turn.context.shadow
             if is_led and outcome.refusal is Refusal.BETTER_TO_TURN:

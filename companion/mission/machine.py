@@ -13,7 +13,7 @@ from typing import Any, Final
 from companion.mission import changes, events, flying, following, ground, phases, stopped, way_back
 from companion.mission.battery import take_battery
 from companion.mission.decisions import Context, Turn, longest_silence_s, reason_text
-from companion.mission.events import Command, End, Event, Landed, Mode, Outcome, SetMode
+from companion.mission.events import Command, End, Event, Landed, Mode, Outcome
 from companion.mission.health import distrust, take_distrust, take_position
 from companion.mission.phases import (
     IN_AIR,
@@ -88,7 +88,6 @@ def step(before: State, event: Event, context: Context) -> tuple[State, list[Com
 
 def _break_off(state: State, reason: Reason, turn: Turn) -> None:
     """What follows from a row of `tables.FAULTS`."""
-    stopped.note_circle(state)
     if state.phase is Phase.HOLDING:
         stopped.broken_off(state, reason, turn)
     elif state.phase is Phase.HANDING_OVER or (
@@ -221,6 +220,8 @@ def _enter(state: State, trigger: Trigger, turn: Turn) -> None:
             turn.do(*parting(state, stopped=trigger is Trigger.STOP))
         turn.do(_end_of(state, trigger))
     if phase is Phase.HOLDING:
+        if was.phase in phases.LED:
+            stopped.note_circle(state)
         turn.hold(state.reason or Reason.NO_PLAN)
     else:
         state.stage = turn.stage or PHASES[phase][0](phase=phase)
@@ -255,7 +256,7 @@ def _enter(state: State, trigger: Trigger, turn: Turn) -> None:
 
 def _set_out(state: State, turn: Turn) -> None:
     """To fly, back or on, or to land."""
-    state.reason, state.taken = None, False
+    state.reason, state.taken, state.flight.circle_nea_m = None, False, None
     if isinstance(state.stage, phases.Led):
         state.stage.echoed_at_s = state.now_s
     if state.phase is Phase.FLYING and not state.flight.homeward:  # to a target again
@@ -276,7 +277,7 @@ def _hold(state: State, held: phases.Holding, turn: Turn) -> None:
     if reason.asks_to_hold:
         held.asked_at_s = state.now_s
         broken_off = reason is Reason.BROKEN_OFF
-        turn.do(*(parting(state) if broken_off else [SetMode(mode=Mode.HOLD)]))
+        turn.do(*(parting(state) if broken_off else [stopped.hold_by_itself(state)]))
 
 
 def _end_of(state: State, trigger: Trigger) -> End:

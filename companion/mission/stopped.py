@@ -34,14 +34,15 @@ from companion.mission.decisions import (
     waits_for_fence,
 )
 from companion.mission.events import Battery, Event, Landed, Mode, PlanReady, Position, SetMode
-from companion.mission.flying import looks_at_circle
+from companion.mission.flying import looks_at_circle, zone_beside
 from companion.mission.following import come_to_rest, send_hold
 from companion.mission.health import TRUST_S
 from companion.mission.mission import EndAction, Fallback
-from companion.mission.phases import ON_PATH, ORDERED, TAKEN, TAKES_OVER, By, Reason, Trigger
+from companion.mission.phases import ORDERED, TAKEN, TAKES_OVER, By, Reason, Trigger
 from companion.mission.state import State, Way
 from companion.mission.tables import is_ours, parting, stays_down, takeover_reason, wanted_fallback
 from companion.mission.way_back import begins_at_home, home_ne_m, is_above_home
+from companion.planner.loiter_search import loiter_point
 
 FAILSAFE_OVER = "failsafe over: MISSION_START to the companion, or guided mode, goes on"
 
@@ -61,6 +62,8 @@ _OBEY_S = 60.0  # for the end action's mode, and for a descent that stands still
 _SINKING_M_S = 0.1
 _ANSWER_S = 60.0
 _ASKS_ABOUT = 2
+_UNHEARD = (Reason.POSITION_STALE, Reason.HEALTH_SILENT)
+"""What is wrong then is the link: the vehicle knows where it is."""
 _TOLD_TO_STAY_S = 1.0  # a setpoint may be lost: an end in guided mode is told several times
 _STAYS_DOWN_S = 10.0  # ten times asked for
 _LANDS_WITHIN = 1.5  # loiter radii
@@ -85,25 +88,42 @@ def note_circle(state: State) -> None:
 
     Each that its autopilot holds it on lies a radius beside the last, and nobody has proven it.
     """
-    path, flight = state.path, state.flight
-    if state.phase in ON_PATH or state.held_by is By.SETPOINTS:
-        circles = not state.vehicle.traits.hovers and (path is None or path.circling)
-        flight.circle_nea_m = flight.hover_nea_m if circles else None
+    flight, hovers = state.flight, state.vehicle.traits.hovers
+    circles = not hovers and flight.sent is not None and flight.sent.stay
+    flight.circle_nea_m = flight.sent.position_nea_m if flight.sent and circles else None
+
+
+def hold_by_itself(state: State) -> SetMode:
+    """What has its autopilot hold it: a plane on its circle, if nothing but news of it is missing.
+
+    Else where it is: an autopilot that is wrong about its place is wrong about the circle's.
+    """
+    vehicle, about = state.vehicle, state.flight.circle_nea_m
+    is_there = vehicle.mode is Mode.GUIDED and state.held_for in _UNHEARD
+    if not is_there or vehicle.distrust not in (None, *_UNHEARD):
+        about = None
+    return SetMode(mode=Mode.HOLD, at_nea_m=about)
 
 
 def _circle_beside(state: State) -> events.Vector | None:
-    """That circle, unless the plane is far away from it by now."""
-    circle, position = state.flight.circle_nea_m, state.vehicle.position_nea_m
+    """That circle, or one that the rules in force allow; None: the plane is far away from it."""
+    circle, vehicle, task = state.flight.circle_nea_m, state.vehicle, state.task
+    position = vehicle.position_nea_m
     if circle is None or position is None:
         return None
-    beside_m = _CIRCLES * state.task.limits.loiter_radius_m
-    return circle if math.dist(circle[:2], position[:2]) <= beside_m else None
+    if math.dist(circle[:2], position[:2]) > _CIRCLES * task.limits.loiter_radius_m:
+        return None
+    if zone_beside(task, circle) is None:
+        return circle
+    return loiter_point(state.flight.known, task, position, vehicle.velocity_nea_m_s, circle)
 
 
 def broken_off(state: State, reason: Reason, turn: Turn) -> None:
     """Held for another reason from now on, or at an end."""
     if reason in (Reason.DISARMED, Reason.GROUNDED):
         return _over(state, reason, turn)
+    if state.held_by is By.SETPOINTS:
+        note_circle(state)
     if reason is Reason.LINK_LOST or state.held_by is By.SETPOINTS:
         come_to_rest(state)
     if reason in TAKEN:
@@ -210,7 +230,7 @@ def resumed(state: State, turn: Turn) -> None:
     """
     flight, wanted = state.flight, state.order
     if wanted not in (None, state.reason):
-        come_to_rest(state, state.vehicle.position_nea_m)
+        come_to_rest(state, flight.hover_nea_m or state.vehicle.position_nea_m)
         state.taken = False
         hold_for(state, wanted)
         return
@@ -310,7 +330,9 @@ def _hold_in_its_own_mode(state: State, held: phases.Holding, event: Event, turn
     if mode is not Mode.TAKE_OFF and _is_elsewhere(state):
         return _take_again(state, event, turn)
     flies_on = hovers and mode is Mode.GUIDED  # to a target that is not known
-    if mode is Mode.HOLD or (taking_over and not flies_on):
+    hold, told = hold_by_itself(state), held.asked_at_s >= held.since_s
+    circles = vehicle.traits.holds_in_guided and hold.at_nea_m is not None and told
+    if mode is Mode.HOLD or circles or (taking_over and not flies_on):
         held.obeyed = True
     stands = (
         not hovers
@@ -319,10 +341,10 @@ def _hold_in_its_own_mode(state: State, held: phases.Holding, event: Event, turn
         or state.flight.hover_nea_m is not None
     )
     doubted = vehicle.distrust is not None
-    if not held.obeyed or (mode is Mode.GUIDED and (doubted or not stands)):
+    if not held.obeyed or (mode is Mode.GUIDED and not circles and (doubted or not stands)):
         come_to_rest(state)
         held.obeyed = False
-        turn.ask(SetMode(mode=Mode.HOLD))
+        turn.ask(hold if held.asks < _ASKS_ABOUT else SetMode(mode=Mode.HOLD))
         return
     if stands and mode is Mode.HOLD and ordered is Reason.LAND_ASKED:
         return _land_here(state, turn)
@@ -349,10 +371,10 @@ def taken(state: State, turn: Turn) -> None:
 
 
 def _stream_here(state: State, event: Position, near_m: float, turn: Turn) -> None:
-    """Setpoints where it holds, or where it is by now if that is farther away."""
+    """Setpoints where it holds, or is by now if that is farther away; a plane's on its circle."""
     hover = state.flight.hover_nea_m
     if hover is None or math.dist(hover, event.position_nea_m) > near_m:
-        come_to_rest(state, event.position_nea_m)
+        come_to_rest(state, _circle_beside(state) or event.position_nea_m)
     send_hold(state, event.time_s, turn)
 
 

@@ -53,30 +53,31 @@ def same_log(
         remedy = "Give the run folder, or --mission, or --shadow for another's flight."
         raise InputError("RUN_DIR|LOG", str(path), rule, remedy)
     _load_planner()
-    flown, own = load_mission(mission, profile), version("companion")
-    _compare(replay_of_log(path, flown, seed=seed, version=own, system_id=system), path, json_file)
+    flown, replays = load_mission(mission, profile), version("companion")
+    replay = replay_of_log(path, flown, seed=seed, version=replays, system_id=system)
+    _compare(replay, path, json_file)
 
 
 def _compare(replay: Replay, flight: Path, json_file: Path | None) -> None:
-    console, found = plain_console(soft_wrap=True, highlight=False), replay.found
+    console, replayed = plain_console(soft_wrap=True, highlight=False), replay.replayed
     with plain_console(stderr=True).status("replaying") as status, prompt_threads():
         for _ in replay.steps():
-            if found.inputs % _SHOWN_EVERY == 0:
-                status.update(f"replaying {found.now_s:,.0f} s")
-    differs = found.difference is not None
-    if found.frames + found.entries or differs:
-        console.print(str(found))
-        _write({"identical": found.is_identical, **asdict(found)}, json_file)
-    elif not found.damaged:  # nothing is not the same as something
+            if replayed.inputs % _SHOWN_EVERY == 0:
+                status.update(f"replaying {replayed.now_s:,.0f} s")
+    differs = replayed.difference is not None
+    if replayed.frames + replayed.entries or differs:
+        console.print(str(replayed))
+        _write({"identical": replayed.is_identical, **asdict(replayed)}, json_file)
+    elif not replayed.damaged:  # nothing is not the same as something
         rule = "it holds nothing to compare a replay with"
         remedy = "Give the recording of a flight, whole."
         raise InputError("RUN_DIR|LOG", str(flight), rule, remedy)
-    if found.damaged and not differs:
-        rule = f"what was recorded is damaged ({found.damaged})"
+    if replayed.damaged and not differs:
+        rule = f"what was recorded is damaged ({replayed.damaged})"
         raise InputError("RUN_DIR", str(flight), rule, "Give a copy of it that is whole.")
-    if not found.is_identical:
-        flew, own = found.flown_by, version("companion")
-        remedy = f"Companion {flew} flew, and this is {own}: another one may decide otherwise."
+    if not replayed.is_identical:
+        flew, replays = replayed.flown_by, version("companion")
+        remedy = f"Companion {flew} flew, and this is {replays}: another one may decide otherwise."
         raise FlightFailed("the replay did not decide as the flight did", remedy if flew else "")
 
 

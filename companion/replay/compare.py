@@ -148,7 +148,7 @@ class Replay:
 
         asked: requests whose answer is still to come: who makes the inputs may take them.
         """
-        self.found, self._inputs, self._recorded = recorded.found, inputs, recorded
+        self.replayed, self._inputs, self._recorded = recorded.replayed, inputs, recorded
         self._feeder, self._plans = Feeder(mission_of), plans
         self._asked = {} if asked is None else asked
         self._flown_before_s = 0.0
@@ -158,23 +158,23 @@ class Replay:
 
     def steps(self) -> Iterator[None]:
         """Replay, input by input, until the first difference or the end."""
-        began_s, found = time.perf_counter(), self.found
+        began_s, replayed = time.perf_counter(), self.replayed
         try:
             for call, *remarks in _turns(self._inputs):
-                found.inputs += 1 + len(remarks)
+                replayed.inputs += 1 + len(remarks)
                 output, error = self._feed(call)
                 self._compare(call[0], output, error, remarks)
-                found.took_s = time.perf_counter() - began_s
-                if found.difference is not None:
+                replayed.took_s = time.perf_counter() - began_s
+                if replayed.difference is not None:
                     break
                 yield
         except DamagedInputError as error:
-            found.damaged = str(error)
+            replayed.damaged = str(error)
         self._end_companion()
 
     def _feed(self, call: Input) -> tuple[Output | None, Exception | None]:
         """Feed one input; what the session gave and what it raised."""
-        found, feeder, raised = self.found, self._feeder, None
+        replayed, feeder, raised = self.replayed, self._feeder, None
         match call:
             case ["start", *_]:
                 self._end_companion()
@@ -183,7 +183,7 @@ class Replay:
             case ["deliver", *_]:
                 self._compare_plan(*arguments_of(call))
             case ["complain", str(text)] if text.startswith(_NOT_RECORDED):
-                self._stop = f"at t {found.now_s:.1f} s ({text.removeprefix(_NOT_RECORDED)})"
+                self._stop = f"at t {replayed.now_s:.1f} s ({text.removeprefix(_NOT_RECORDED)})"
         try:
             output = feeder.take(call)
         except (DamagedInputError, InputError):
@@ -193,17 +193,17 @@ class Replay:
                 return None, error
             raised, output = error, feeder.session.take_output()
         clock = feeder.session.clock
-        found.now_s, found.flown_s = clock.now_s, self._flown_before_s + clock.passed_s
+        replayed.now_s, replayed.flown_s = clock.now_s, self._flown_before_s + clock.passed_s
         if output is not None and output.plan is not None:
             self._asked[output.plan.plan_id] = output.plan
         return output, raised
 
     def _end_companion(self) -> None:
         """All that one companion has recorded is replayed."""
-        found = self.found
-        self._flown_before_s = found.flown_s
+        replayed = self.replayed
+        self._flown_before_s = replayed.flown_s
         if self._stop:
-            found.stops.append(f"{self._stop}; what there is ends at t {found.now_s:.1f} s")
+            replayed.stops.append(f"{self._stop}; what there is ends at t {replayed.now_s:.1f} s")
             self._stop = ""
 
     def _compare(
@@ -213,7 +213,7 @@ class Replay:
 
         If the flight ended with an error here, the replay must, too.
         """
-        found, told = self.found, [(remark[0], arguments_of(remark)) for remark in remarks]
+        replayed, told = self.replayed, [(remark[0], arguments_of(remark)) for remark in remarks]
         unsent = {number for name, of in told if name == "unsent" for number in of[0]}
         if output is not None:  # which may hold fewer frames: that differs
             output.leave_out(unsent.intersection(range(len(output.frames))))
@@ -224,18 +224,18 @@ class Replay:
         now = "" if error is None else f"{type(error).__name__}: {error}"
         place = "" if error is None else f"{now} ({_place_of(error)})"
         is_same = (was_in, was) == (call, now)
-        found.ended_by = (place if is_same else was) or found.ended_by
-        if not is_same and (now or was_in in SESSION_CALLS) and found.difference is None:
+        replayed.ended_by = (place if is_same else was) or replayed.ended_by
+        if not is_same and (now or was_in in SESSION_CALLS) and replayed.difference is None:
             both = was or NOTHING, place or NOTHING
-            found.difference = Difference(found.now_s, was_in or "flight", "error", *both)
+            replayed.difference = Difference(replayed.now_s, was_in or "flight", "error", *both)
 
     def _compare_plan(self, answer: PlanOutcome) -> None:
         """Compute a plan again, only to compare it."""
-        found, request = self.found, self._asked.pop(answer.plan_id, None)
-        found.plans += 1
+        replayed, request = self.replayed, self._asked.pop(answer.plan_id, None)
+        replayed.plans += 1
         if request is None or not self._plans:
             return
-        found.plans_computed += 1
+        replayed.plans_computed += 1
         was, kernel = values_of(answer), kernels.signature()
         recorded_by = str(was.pop("kernel", kernel))
         patience, asked = getattr(answer, "stopped_after", None), count(1)
@@ -249,8 +249,8 @@ class Replay:
             return
         if recorded_by != kernel:
             what += f" ({recorded_by}, now {kernel})"
-            found.plans_excused += 1
-        found.plans_differ.append(Difference(found.now_s, what, *place))
+            replayed.plans_excused += 1
+        replayed.plans_differ.append(Difference(replayed.now_s, what, *place))
 
 
 def _turns(inputs: Iterable[Input]) -> Iterator[list[Input]]:
@@ -283,7 +283,7 @@ class Recorded:
 
         None: of a log alone, which may have been stamped by any clock.
         """
-        self.found, self._frames, self._alone = Replayed(), frames, lines is None
+        self.replayed, self._frames, self._alone = Replayed(), frames, lines is None
         of_companions = groupby(lines or (), lambda line: line.startswith(_HEADER))
         self._journals = iter([[*group] for is_header, group in of_companions if not is_header])
         """The entries of each companion; one that was killed at once has none."""
@@ -298,18 +298,18 @@ class Recorded:
 
         What the one before has written last may be of no input: it was killed while it wrote.
         """
-        found = self.found
-        found.flown_by = "" if self._alone else start.companion
-        found.of_no_input += len(self._entries)
+        replayed = self.replayed
+        replayed.flown_by = "" if self._alone else start.companion
+        replayed.of_no_input += len(self._entries)
         self._entries = deque(next(self._journals, ()))
-        self._epoch_us, self._searches = None, found.starts > 0
-        found.starts += 1
+        self._epoch_us, self._searches = None, replayed.starts > 0
+        replayed.starts += 1
 
     def compare(self, output: Output) -> None:
         """Compare the output of one run with the next records."""
         frames = starmap(self._frame_differs, output.record)
         entries = () if self._alone else map(self._entry_differs, output.journal)
-        self.found.difference = next(filter(None, chain(frames, entries)), None)
+        self.replayed.difference = next(filter(None, chain(frames, entries)), None)
 
     def pass_over(self, frames: int) -> None:
         """Skip what the watchdog sent: so many frames, and one entry."""
@@ -319,17 +319,17 @@ class Recorded:
 
     def _entry_differs(self, entry: Told) -> Difference | None:
         if not self._entries:
-            self.found.unrecorded += 1
+            self.replayed.unrecorded += 1
             return None
         difference = first_difference(entry["t_s"], self._entries.popleft(), journal_line(entry))
-        self.found.entries += difference is None
+        self.replayed.entries += difference is None
         return difference
 
     def _frame_differs(self, time_s: float, frame: bytes) -> Difference | None:
         if self._searches:
             self._search(frame)
         if (record := next(self._frames, None)) is None:
-            self.found.unrecorded += 1
+            self.replayed.unrecorded += 1
             return None
         stamp_us, recorded = record
         if (difference := first_difference(time_s, recorded, frame)) is not None:
@@ -339,7 +339,7 @@ class Recorded:
         if epoch_us != self._epoch_us and not self._alone:
             recorded_s = time_s + (epoch_us - self._epoch_us) * 1e-6
             return Difference(time_s, name_of(frame), "time", recorded_s, time_s)
-        self.found.frames += 1
+        self.replayed.frames += 1
         return None
 
     def _search(self, frame: bytes) -> None:
@@ -347,7 +347,7 @@ class Recorded:
         ahead, self._frames = tee(self._frames)
         passed = next((k for k, (_, other) in enumerate(ahead) if other == frame), 0)
         next(islice(self._frames, passed, passed), None)
-        self.found.of_no_input += passed
+        self.replayed.of_no_input += passed
         self._searches = False
 
 
@@ -359,16 +359,16 @@ def replay_of_folder(folder: Path, mission_of: MissionOf, *, plans: bool = True)
     inputs, journal = InputsFile(folder / FILE), file_of_run(folder, "journal.jsonl").read_bytes()
     lines = journal[: journal.rfind(b"\n") + 1].splitlines(keepends=True)
     recorded = Recorded(_frames_of(file_of_run(folder, "flight.tlog")), lines)
-    return Replay(_to_the_end(inputs, recorded.found), recorded, mission_of, plans=plans)
+    return Replay(_to_the_end(inputs, recorded.replayed), recorded, mission_of, plans=plans)
 
 
-def _to_the_end(inputs: InputsFile, found: Replayed) -> Iterator[Input]:
+def _to_the_end(inputs: InputsFile, replayed: Replayed) -> Iterator[Input]:
     """All of them, and why they end there.  DamagedInputError: what follow are none."""
     yield from inputs
     torn = f"{inputs.torn_bytes:,} bytes"
     if inputs.is_damaged:
         raise DamagedInputError(f"{torn} that are no inputs")
-    found.torn = f"{torn} of a record that is not whole" if inputs.torn_bytes else ""
+    replayed.torn = f"{torn} of a record that is not whole" if inputs.torn_bytes else ""
 
 
 def _frames_of(tlog: Path) -> Iterator[tuple[int, bytes]]:
@@ -399,11 +399,11 @@ def replay_of_log(
     flown, asked = replace(mission, system_id=wanted), dict[int, PlanRequest]()
     session = Session(flown, seed=seed, lockstep=True, version=version)
     recorded = Recorded(_frames_of(path), lines=None)
-    inputs = chain(session.take_output().inputs, _inputs_of(path, asked, recorded.found))
+    inputs = chain(session.take_output().inputs, _inputs_of(path, asked, recorded.replayed))
     return Replay(inputs, recorded, lambda _: mission, asked=asked)
 
 
-def _inputs_of(path: Path, asked: dict[int, PlanRequest], found: Replayed) -> Iterator[Input]:
+def _inputs_of(path: Path, asked: dict[int, PlanRequest], replayed: Replayed) -> Iterator[Input]:
     """Each frame of others by itself, and at once the answer to what was asked."""
     for time_us, frame in Records(path):
         if _is_of_companion(frame):
@@ -411,7 +411,7 @@ def _inputs_of(path: Path, asked: dict[int, PlanRequest], found: Replayed) -> It
         yield "receive", frame, time_us * 1e-6
         yield ("run",)
         while asked:
-            found.plans_computed += 1
+            replayed.plans_computed += 1
             yield "deliver", values_of(plan(asked.popitem()[1]))
             yield ("run",)
     yield ("farewell",)

@@ -35,7 +35,7 @@ def of_log(hills: Recorded, log: Path, seed: int = SEED) -> Replayed:
     replay = replay_of_log(log, load_mission(str(hills.mission)), seed=seed, version="0")
     for _ in replay.steps():
         pass
-    return replay.found
+    return replay.replayed
 
 
 def is_ours(frame: bytes) -> bool:
@@ -137,7 +137,7 @@ def test_another_weight_changes_plans_and_not_what_is_flown_by_the_recorded_ones
     with (copy / "mission.toml").open("a", encoding="utf-8") as file:
         file.write("\n[planner.weights]\nlength = 2.0\n")
     replay = replay_of_folder(copy, mission_of(copy))
-    next(None for _ in replay.steps() if replay.found.plans_computed)
-    found = replay.found
+    next(None for _ in replay.steps() if replay.replayed.plans_computed)
+    found = replay.replayed
     assert (found.difference, found.is_identical, found.plans_excused) == (None, False, 0)
     assert found.plans_differ

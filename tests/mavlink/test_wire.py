@@ -308,8 +308,10 @@ def test_a_mode_is_asked_for_by_number_or_not_at_all(autopilot: Autopilot) -> No
         messages = [over_the_wire(message) for message in autopilot.set_mode(command, TO)]
         assert len(messages) == len(numbers)
         for message, number in zip(messages, numbers, strict=True):
-            if (autopilot, mode, at_nea_m) == (PX4_FIXED_WING, Mode.HOLD, CORNER):
-                about = {"param2": 1.0, "param3": 0.0}  # bit 0 switches to Hold, about the point
+            circles = autopilot in (PX4_FIXED_WING, ARDUPLANE)
+            if circles and (mode, at_nea_m) == (Mode.HOLD, CORNER):
+                switches = autopilot is PX4_FIXED_WING  # to Hold; ArduPlane stays in GUIDED
+                about = {"param2": float(switches), "param3": 0.0}
                 assert_told(message, "COMMAND_INT", command=192, **about, **THERE)
                 continue
             main, sub = (number >> 16 & 255, number >> 24) if autopilot in PX4 else (number, 0)

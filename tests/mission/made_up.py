@@ -320,6 +320,10 @@ class Craft:
             case events.RequestStreams():
                 for item in events.Item:
                     self.will_say(events.Prepared(time_s=self.now_s, item=item))
+            case events.SetMode(mode=Mode.HOLD, at_nea_m=(_, _, _) as there) if (
+                self.traits.holds_in_guided and self.mode is Mode.GUIDED
+            ):
+                self.goal = there
             case events.SetMode(mode=mode) if self.obeys_modes and self._may_be(mode):
                 self.mode, self.goal, self.climb_to_m = mode, None, None
                 if self.landed is Landed.TAKING_OFF:

@@ -208,15 +208,26 @@ def test_a_plane_that_is_told_to_return_circles_one_place_until_it_leaves_for_ho
 def test_a_plane_that_loses_its_position_on_its_circle_comes_back_to_that_circle(
     traits: VehicleTraits,
 ) -> None:
-    """It alone is proven: by each circle beside the last it came nearer to a hill, and hit it."""
+    """It alone is proven: by each circle beside the last it came nearer to a hill, and hit it.
+
+    It does not leave it at all where only news of its position is missing, not the position.
+    """
     craft = calm(traits, not_planned).run_until(lambda craft: craft.state.flight.failures)
     circled = craft.state.flight.hover_nea_m
-    for _ in range(4):
-        told(craft.run_for(5.0), now(fix=False), 4.0, now(fix=True), 6.0)
+    heard = craft.says_where
+    for lost, again in [
+        (now(fix=False), now(fix=True)),
+        (now(says_where=list), now(says_where=heard)),
+    ]:
+        craft.run_for(5.0)
+        before = len(craft.sent(SetMode))
+        told(craft, lost, 4.0, again, 6.0)
         sent = craft.sent(Setpoint)[-1]
         assert sent.stay
         assert sent.position_nea_m == pytest.approx(circled, abs=0.5)
-    assert Reason.NO_FIX in {craft.state.vehicle.last_distrust}
+        unheard = craft.state.vehicle.last_distrust is Reason.POSITION_STALE
+        hold = craft.sent(SetMode)[before]
+        assert (hold.mode, hold.at_nea_m) == (Mode.HOLD, circled if unheard else None)
 
 
 def test_a_plane_that_lands_too_far_from_where_it_was_to_land_has_not_arrived() -> None:

@@ -78,6 +78,7 @@ class Watch:
         self.not_guided_at_s = now_s
         self.key: Any = None
         self.last: Setpoint | None = None
+        self.circled: events.Vector | None = None
 
     def restarted(self, now_s: float, *, forgotten: bool = False) -> None:
         """Another companion goes on from the checkpoint: it has yet to hear everything.
@@ -103,6 +104,8 @@ class Watch:
         assert now == max(before.now_s, event.time_s), "time went back"
         self.phases.add(after.phase)
         self._moves(before, after, commands)
+        if Phase.LANDING in (before.phase, after.phase):
+            self.circled = None
         for command in commands:
             if isinstance(command, MOVING):
                 assert not self.context.shadow, f"told a vehicle it only watches: {command}"
@@ -237,12 +240,26 @@ class Watch:
             assert told, "out of range"
         at = sent.position_nea_m
         assert self.position is not None
+        elsewhere = after.path is not None or after.task.zones  # a leg's start, or clear of a fence
+        if sent.stay and self.circled is not None and not elsewhere:
+            self._comes_back(at, self.circled)
         if not sent.stay:
             self._on_path(before, after, sent)
         elif now - self.streamed_at_s > 1.5 or self.not_guided_at_s > self.streamed_at_s:
             apart_m = math.dist(at[:2], self.position.position_nea_m[:2])
             assert apart_m <= self._near_m(), f"first led to a place {apart_m:.0f} m away"
         self.streamed_at_s, self.last = now, sent
+        led = self.mode is Mode.GUIDED and not self.traits.hovers
+        self.circled = at if led and sent.stay else None
+
+    def _comes_back(self, at: events.Vector, circled: events.Vector) -> None:
+        """A plane on a circle stays on it, or comes back to it: nobody has proven one beside it."""
+        assert self.position is not None
+        here = self.position.position_nea_m
+        beside_m = 2.0 * self.limits.loiter_radius_m
+        apart_m = math.dist(at[:2], circled[:2])
+        if math.dist(here[:2], circled[:2]) <= beside_m:
+            assert apart_m <= 0.5, f"led to a circle {apart_m:.0f} m beside the one it was on"
 
     def _joining(self, state: State, order: int) -> float:
         """What a join adds to position (0) or velocity (1), and a rounding error."""
@@ -338,6 +355,7 @@ class Watch:
         ours = after.phase in STREAMS and after.reason not in NOT_OURS
         ours = ours and self.mode is Mode.GUIDED and self.armed
         ours = ours and not self.is_down(after.now_s) and self.position is event
+        ours = ours and not (self.traits.holds_in_guided and self.circled)  # it goes on circling
         if not ours:
             self.spoke_at_s = max(self.spoke_at_s, after.now_s)
             return

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planning import ARDUCOPTER, drawn_zones, limits, spline, zone_distance_m
+from planning import ARDUCOPTER, BENT, drawn_zones, spline, zone_distance_m
 
 from companion import jit, objective
 from companion.geodesy import FloatArray
@@ -28,15 +28,7 @@ seeds = st.integers(0, 10**6)
 
 R_M = 2_000.0
 RADAR_MARGIN_M = 250.0
-LIMITS = limits(
-    speed_m_s=60.0,
-    turn_radius_m=400.0,
-    climb_angle_rad=0.1,
-    dive_angle_rad=0.15,
-    ceiling_amsl_m=800.0,
-    north_m=(1_500.0, 5_500.0),
-    east_m=(1_500.0, 5_500.0),
-)
+LIMITS = replace(BENT, speed_m_s=60.0)
 
 
 def random_pose(rng: np.random.Generator) -> Pose:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planning import limits, spline, zone_distance_m
+from planning import BENT, spline, zone_distance_m
 from scipy.sparse.csgraph import connected_components
 
 from companion.geodesy import FloatArray
@@ -33,14 +33,7 @@ ZONES = (
     PolygonZone(name="s", vertices_ne_m=((2e3, 2e3), (2e3, 2.6e3), (2.6e3, 2.6e3), (2.6e3, 2e3))),
 )
 TASK = Task(
-    limits=limits(
-        turn_radius_m=400.0,
-        climb_angle_rad=0.1,
-        dive_angle_rad=0.15,
-        ceiling_amsl_m=800.0,
-        north_m=(1_500.0, 5_500.0),
-        east_m=(1_500.0, 5_500.0),
-    ),
+    limits=BENT,
     settings=PlannerSettings(scan_range_m=R_M, safety_distance_m=D_S_M, planning_time_s=1.0),
     radars=RADARS,
     zones=ZONES,

@@ -65,7 +65,7 @@ def replayed(path: Path, **options: Any) -> Replayed:
     replay = replay_of_folder(path, mission_of(path), **options)
     for _ in replay.steps():
         pass
-    return replay.found
+    return replay.replayed
 
 
 def mission_of(path: Path) -> Callable[[Start], Mission]:

@@ -93,7 +93,7 @@ def test_a_frame_that_was_not_sent_is_left_out_if_it_is_said_so(
     run = tmp_path / "run"
     fly_short(run, until_s=30.0)
     replay = replay_of_folder(run, mission_of(run), plans=False)
-    frames = [replay.found.frames for _ in replay.steps()]  # after each input
+    frames = [replay.replayed.frames for _ in replay.steps()]  # after each input
     records = recorded_frames(run / "flight.tlog")
     sends = (  # the first frame that an input in the midst of the flight had it send
         (number, k)

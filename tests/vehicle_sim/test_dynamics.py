@@ -37,7 +37,7 @@ DRAG_1_S = 0.6
 
 
 def copter(airframe: Limits = LIMITS, drag_1_s: float = 0.0) -> Copter:
-    return Copter(**placed(PLACE), limits=airframe, drag_1_s=drag_1_s, drag_1_m=0.0)
+    return Copter(**placed(PLACE), limits=airframe, drag_1_s=drag_1_s)
 
 
 def flown(it: Copter, seconds: float, *order: float) -> Copter:

@@ -60,6 +60,11 @@ def _setpoint(setpoint: Setpoint, to: To, loiter_radius_m: float) -> list[Messag
     return messages.reposition(to, there, switch=False, radius_m=radius_m, yaw_rad=_CLOCKWISE)
 
 
+def _hold_about(at_nea_m: Vector, to: To) -> list[Message]:
+    """In GUIDED on its circle, as wide as it was told last: LOITER has no place."""
+    return messages.reposition(to, at_nea_m, switch=False, radius_m=0.0, yaw_rad=_CLOCKWISE)
+
+
 def _echo(message: Message, now_s: float, frame: LocalFrame, *_: object) -> Echo | None:
     """POSITION_TARGET_GLOBAL_INT, in every automatic mode."""
     place = (deg(message.lat_int), deg(message.lon_int))
@@ -132,5 +137,6 @@ ARDUPLANE = Autopilot(
     take_off=_take_off,
     set_speed=_set_speed,
     setpoint=_setpoint,
+    hold_about=_hold_about,
     refuses_setpoint=_refuses_setpoint,
 )
