@@ -178,14 +178,12 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
     if (fence := values.get("fence")) is not None:
         values = {**values, "fence": {"t_s": 0.0, **fence}}  # older ones have no time
     saved = msgspec.convert(values, Saved, dec_hook=_decoded)
-    paused, order = saved.standing == Reason.PAUSED.name, saved.standing
-    if order is None and saved.fallen_back == Reason.LAND_ASKED.name:
-        order = saved.fallen_back  # older ones keep no order that is being carried out
+    paused = saved.standing == Reason.PAUSED.name
     state = filled(
         State,
         saved,
         now_s=saved.t_s,
-        goal=Goal(_reason(saved.set_aside if paused else order)),
+        goal=Goal(_reason(saved.set_aside if paused else saved.standing)),
         paused=paused,
         task=mission.task,
         flight=Flight(known=known),
