@@ -262,6 +262,7 @@ def _on_plan(state: State, stage: phases.Flying, event: events.PlanReady, turn: 
     margin_m = min(outcome.certificate.clearance_m, outcome.certificate.keep_out_m)
     number = flight.legs_flown + 1
     _accept(state, stage, outcome)
+    margin_m = float(np.floor(margin_m))  # said is no more than is proven
     turn.say(f"subpath {number}: {margin_m:.0f} m clear, cost {outcome.cost:.2f}", "plan")
 
 
