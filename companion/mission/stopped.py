@@ -165,7 +165,10 @@ def _stay_down(state: State, turn: Turn) -> None:
 
 
 def _heard_again(state: State, event: Event, turn: Turn) -> None:
-    """Prepare again after a silence, which may have concerned some messages only."""
+    """Prepare again after a silence, which may have concerned some messages only.
+
+    Given up after 30 s, in the air, but for lockstep, after 600 s.
+    """
     if state.in_phase_s > longest_silence_s(state, turn.context):
         return turn.give_up(Reason.LINK_LOST)
     if isinstance(event, Position) and not state.is_silent:

@@ -134,6 +134,7 @@ def stays_down(state: State) -> bool:
 
 
 def _falls_silent(state: State) -> bool:
+    """Without heartbeats for 5 s, whatever else comes; `LinkLost`: 3 s without anything."""
     return state.is_silent and state.held_for is not Reason.LINK_LOST
 
 
