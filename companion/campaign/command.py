@@ -16,7 +16,7 @@ from companion.errors import InputError
 from companion.extras import need
 from companion.runtime.processes import processors
 from companion.sources.files import writing
-from companion.views.output import plain_console
+from companion.views.output import plain_console, table_console
 
 if TYPE_CHECKING:
     from companion.campaign.file import Run
@@ -146,7 +146,7 @@ def report_command(
     need("campaign", "FOLDER", str(folder))
     from companion.campaign import report as campaign  # slow to import
 
-    console = plain_console(soft_wrap=True)
+    console = table_console(soft_wrap=True)
     with plain_console(stderr=True).status("reading the campaign"):
         report = campaign.report_of(campaign.read_campaign(folder), by or ())
         files = [("--html", html or folder / "report.html", campaign.report_html(report))]

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import polars as pl
+from rich.console import JustifyMethod
 from rich.table import Table
 from rich.text import Text
 
@@ -235,7 +236,8 @@ def terminal_tables(report: Report) -> list[Table | str]:
     for sheet in report.tables:
         table = Table(title=Text(sheet.title), title_justify="left")
         for at, name in enumerate(sheet.head):
-            table.add_column(Text(name), justify="left" if at < sheet.words else "right")
+            justify: JustifyMethod = "left" if at < sheet.words else "right"
+            table.add_column(Text(name), justify=justify, overflow="fold")
         for row in sheet.rows:
             table.add_row(*map(Text, row))
         shown += [table, *(f"  {note}" for note in sheet.notes)]

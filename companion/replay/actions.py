@@ -1,7 +1,6 @@
 """The actions of `companion replay`, apart from the command line."""
 
 import json
-import sys
 from importlib.metadata import version
 from itertools import count
 from pathlib import Path
@@ -22,10 +21,9 @@ from companion.replay.what_if import what_if, what_if_table, with_changes
 from companion.runtime.compiler import load_kernel
 from companion.runtime.loop import prompt_threads
 from companion.sources.files import file_of_run, writing
-from companion.views.output import plain_console
+from companion.views.output import plain_console, table_console
 
 _SHOWN_EVERY = 200  # inputs: to show one costs more than most of them
-_TABLE_COLUMNS = 130  # into a file
 
 
 def same_run(folder: Path, json_file: Path | None, *, plans: bool) -> None:
@@ -85,7 +83,7 @@ def changed(
     folder: Path, settings: list[str], seed: int | None, profile: str | None, json_file: Path | None
 ) -> None:
     """What if: each subpath under other settings."""
-    console = plain_console(width=None if sys.stdout.isatty() else _TABLE_COLUMNS)
+    console = table_console()
     if not folder.is_dir():
         rule = "a log does not hold the states to plan from"
         raise InputError("RUN_DIR|LOG", str(folder), rule, "Give the run folder of the flight.")

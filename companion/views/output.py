@@ -3,18 +3,25 @@
 import io
 import os
 import queue
+import sys
 import threading
 from typing import Any, Self, TextIO, final
 
 from rich.console import Console
 
 _MOST = 1000  # texts that wait for a reader: a log that nobody reads is given up
+_FILE_COLUMNS = 130
 _LEAVES_S = 1.0  # what a reader gets at the end to take the rest
 
 
 def plain_console(**options: Any) -> Console:
     """A console that prints what it is given: brackets and colons in names are no markup."""
     return Console(markup=False, emoji=False, **options)
+
+
+def table_console(**options: Any) -> Console:
+    """For tables: as wide as the terminal, or as a file that is read in an editor."""
+    return plain_console(width=None if sys.stdout.isatty() else _FILE_COLUMNS, **options)
 
 
 @final
