@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 from companion_receive import HANDLED, Run, Target, saved
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 from random_programs import intact
@@ -24,6 +24,7 @@ def in_flight(which: int) -> Run:
     return moments[len(moments) // 2].again()
 
 
+@settings(max_examples=100)
 @given(st.binary(min_size=1, max_size=300))
 def test_nothing_is_raised_and_no_nonsense_is_sent_whatever_happens(program: bytes) -> None:
     TARGET.play(program)
