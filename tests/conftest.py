@@ -1,4 +1,4 @@
-"""Hypothesis profiles: `dev` by default, `--hypothesis-profile=ci` searches longer.
+"""Hypothesis profiles: `dev` by default; `night`, with `--all`, searches longer.
 
 `--all`, and the seed of a nudge: what tests of decisions are also flown under.  A test that is
 marked `nightly` states a law that others state with fewer draws: it runs with `--all` alone, as do
@@ -21,9 +21,13 @@ from nudge import SEEDS, nudged_positions
 
 copyreg.pickle(struct.Struct, lambda made: (struct.Struct, (made.format,)))  # pymavlink's codecs
 gc.disable()  # until all is collected: what tests are made of stays
-settings.register_profile("dev", max_examples=50, derandomize=True, database=None, deadline=None)
-settings.register_profile("ci", max_examples=200, derandomize=True, database=None, deadline=None)
+settings.register_profile("dev", max_examples=30, derandomize=True, database=None, deadline=None)
+settings.register_profile("night", max_examples=200, derandomize=True, database=None, deadline=None)
 settings.load_profile("dev")
+
+
+FIRST = ("interop", "closed_loop", "test_release.py", "campaign", "test_tracking.py", "planner")
+"""Folders and files whose tests take longest."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -31,11 +35,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "--all",
         action="store_true",
         help="fly tests of decisions under all ten nudges, and more of them in other arithmetic; "
-        "and what is marked nightly",
+        "and what is marked nightly; properties are searched longer",
     )
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("--all"):
+        settings.load_profile("night")
     config.addinivalue_line("markers", "sample(n): each nth case, with --all every one")
     if not config.pluginmanager.hasplugin("xdist"):
         config.addinivalue_line("markers", "xdist_group(name): without xdist there is one worker")
@@ -45,18 +51,24 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Without --all nothing nightly runs; what a file makes once is made by one worker.
 
-    What takes long comes first: whoever begins it late keeps the other workers waiting.
+    What takes long comes first: whoever begins it late keeps the other workers waiting.  And before
+    all what waits for other people's programs: meanwhile the checks have the processor.
     """
     if not config.getoption("--all"):
         nightly = set(_nightly(items))
         config.hook.pytest_deselected(items=[item for item in items if item in nightly])
         items[:] = [item for item in items if item not in nightly]
-    long = ("closed_loop", "interop", "test_release.py")
-    items.sort(key=lambda item: not {item.path.parent.name, item.path.name}.intersection(long))
+    items.sort(key=_rank)
     for item in items if config.pluginmanager.hasplugin("xdist") else ():
         if not item.get_closest_marker("xdist_group"):
             file = item.path.relative_to(config.rootpath).with_suffix("")
             item.add_marker(pytest.mark.xdist_group(".".join(file.parts[1:])))
+
+
+def _rank(item: pytest.Item) -> int:
+    """Its place in the order; all that is not known to take long is last."""
+    names = item.path.parent.name, item.path.name
+    return next((k for k, name in enumerate(FIRST) if name in names), len(FIRST))
 
 
 def pytest_collection_finish() -> None:

@@ -16,7 +16,6 @@ from typing import Any
 import pytest
 from answers import answered
 from programs import BIN, ROOT, Program, free_port
-from recorded import run_folder
 
 import companion
 from companion import cli
@@ -136,11 +135,10 @@ def test_without_what_shows_flights_it_is_named(how: Any, monkeypatch: pytest.Mo
     assert "pip install 'companion[view]'" in refused(*how)
 
 
-def test_a_page_on_a_port_that_is_taken(tmp_path: Path) -> None:
-    folder = run_folder(tmp_path)
+def test_a_page_on_a_port_that_is_taken(run_dir: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
-        assert f"--view-port = {port}" in refused("view", folder, "--view-port", str(port))
+        assert f"--view-port = {port}" in refused("view", run_dir, "--view-port", str(port))
 
 
 # --- exit codes

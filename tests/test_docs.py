@@ -11,7 +11,6 @@ import typer
 from answers import answered
 from pages import PAGES as MADE
 from pages import page_of
-from recorded import run_folder
 from recordings import recording
 
 from companion.cli import app
@@ -58,11 +57,6 @@ def commands() -> list[str]:
     return sorted(found)
 
 
-@pytest.fixture(scope="module")
-def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return run_folder(tmp_path_factory.mktemp("flight"))
-
-
 def is_parsed(program: str, words: list[str]) -> None:
     """As the program would; nothing is run."""
     if program == "vehicle-sim":
@@ -84,13 +78,13 @@ def is_parsed(program: str, words: list[str]) -> None:
 @pytest.mark.xdist_group("commands of the pages")
 @pytest.mark.parametrize("line", commands())
 def test_a_command_of_the_pages_does_what_it_says(
-    line: str, flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    line: str, copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     program, *words = shlex.split(line)
     if any(re.match(pattern, line) for pattern in NOT_RUN):
         return is_parsed(program, words)
     log = str(recording("px4-gps-loss.tlog"))
-    meant = {"RUN_DIR": str(flight), "MISSION": "sitl-px4", "LOG": log}
+    meant = {"RUN_DIR": str(copy), "MISSION": "sitl-px4", "LOG": log}
     monkeypatch.chdir(tmp_path)
     (tmp_path / "hill").mkdir()
     files = {"README.md": ["mission"], "docs/first-flight.md": ["hill/world", "hill/mission"]}

@@ -1,8 +1,9 @@
-"""The deciding tests once more, in a process that computes otherwise: another processor's digits.
+"""Golden flights once more, in a process that computes otherwise: another processor's digits.
 
 numba compiles for the plainest processor, OpenBLAS and numpy take the kernels of an old one and
-glibc its functions without fused multiplication.  What numba compiles so is flown with `--all`
-alone: to compile it takes longer than all the rest.  The positions are nudged too (tests/nudge.py).
+glibc its functions without fused multiplication.  The other deciding tests, and what numba compiles
+so, are run with `--all` alone: to compile it takes longer than all the rest.  The positions are
+nudged too (tests/nudge.py).
 """
 
 import os
@@ -17,11 +18,7 @@ from programs import ROOT
 
 from companion.planner import kernels
 
-DECIDING = (
-    *("tests/replay/test_golden.py", "tests/mission/test_orders.py"),
-    *("tests/planner/test_recheck.py", "-k"),
-    "(not test_orders or no_stretch) and not what_it_decided and not recipe",
-)
+DECIDING = ("tests/replay/test_golden.py", "-k", "aside")
 ALL_DECIDING = ("-n", "auto", "tests/replay", "tests/mission", "tests/planner")
 LONGEST_S = 3_600.0
 

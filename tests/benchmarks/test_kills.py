@@ -25,20 +25,15 @@ def test_what_a_straight_leg_promises_is_a_tube_that_ends_so_far_beyond_it(aside
     assert told.outside_m(places) == pytest.approx(expected, abs=0.02)
 
 
-@pytest.mark.parametrize(
-    "flight",
-    [
-        "forest ardupilot",
-        "street px4",
-        "ridge ardupilot",
-        "short-plane ardupilot",
-        "short-plane px4",
-    ],
-)
+KILLS, EVERY_S = 4, 6.14
+PLANES = ("short-plane ardupilot", "short-plane px4")
+
+
+@pytest.mark.parametrize("flight", ["forest ardupilot", "street px4", "ridge ardupilot", *PLANES])
 def test_a_vehicle_whose_companion_dies_stays_within_what_was_proven(flight: str) -> None:
     """Over the first 25 s of a flight: take-off, the first legs, and from one to the next."""
-    found = kills.sample(*flight.split(), first=2, count=8, every_s=3.07)
-    assert len({kill["at_s"] for kill in found}) == 8
+    found = kills.sample(*flight.split(), first=2, count=KILLS, every_s=EVERY_S)
+    assert len({kill["at_s"] for kill in found}) == KILLS
     assert max(kill["outside_m"] for kill in found) <= 0.0
     assert all(kill["stands"] for kill in found)
     assert max(kill["speed_m_s"] for kill in found) > 1.0

@@ -95,7 +95,7 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
     return same(fly_run(run, folder) for run in runs(folder, PLANNED))
 
 
-@pytest.mark.parametrize("place", ["here", "a cluster"])
+@pytest.mark.parametrize("place", [pytest.param("here", marks=pytest.mark.nightly), "a cluster"])
 def test_a_worker_that_is_killed_takes_no_run_with_it(
     planned: Any, tmp_path: Path, place: str
 ) -> None:
@@ -167,8 +167,11 @@ def test_what_arrives_is_judged_and_only_files_of_what_does_not_are_kept(tmp_pat
     ],
 )
 def test_the_first_run_of_a_bundled_campaign_flies(name: str, tmp_path: Path) -> None:
-    table, _, base = load_campaign(name, {"keep": "none"})
-    row = fly_run(runs_of(table, base)[0], tmp_path)
+    """With few candidates to a plan."""
+    table, _, base = load_campaign(name)
+    assert runs_of(table, base)
+    quick, _, _ = load_campaign(name, {"keep": "none", "factors": {"budget": [200]}})
+    row = fly_run(runs_of(quick, base)[0], tmp_path)
     assert "error" not in row
     assert row["arrived"] or row["ending"], row["reason"]  # faults may end a flight
     assert row["violations"] == 0

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from flights import FAULTS, HILLS, HILLS_MISSION, RUNNING, SEED, Recorded, flown_here
+from flights import FAULTS, HILLS, HILLS_MISSION, RUNNING, SEED, SOON, Recorded, flown_here
 
 
 @pytest.fixture(autouse=True)
@@ -18,8 +18,11 @@ def _none_is_left_running() -> Iterator[None]:
 def hills(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     """The flight over the hills, in this process; who looks at it is of the group `hills`."""
     folder, text = tmp_path_factory.mktemp("hills"), Path(HILLS_MISSION).read_text("utf-8")
-    for far, near in ("north_m = 26000.0", "north_m = 18000.0"), ("24000.0", "20000.0"):
-        assert far in text
-        text = text.replace(far, near, 1)  # past the mountain, and no farther
+    for was, now in (
+        *(("north_m = 26000.0", "north_m = 18000.0"), ("24000.0", "20000.0")),  # past the mountain
+        ("[planner]", f"[planner]\nevaluations = {SOON}"),
+    ):
+        assert was in text
+        text = text.replace(was, now, 1)
     (folder / "mission.toml").write_text(text, encoding="utf-8")
     return flown_here(folder / "run", HILLS, folder / "mission.toml", FAULTS, SEED)

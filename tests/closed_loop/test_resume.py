@@ -27,13 +27,9 @@ WHEN: dict[str, Callable[[Values], bool]] = {
     "at a join": lambda now: now["phase"] == "FLYING" and now["legs_flown"] >= 2,
     "landing": lambda now: bool(now["phase"] == "LANDING"),
 }
+EDGES = ("min", -100.0), ("max", 600.0)
 SHORTER: dict[str, Any] = {
-    "area": {
-        "north_min_m": -100.0,
-        "north_max_m": 600.0,
-        "east_min_m": -100.0,
-        "east_max_m": 600.0,
-    },
+    "area": {f"{side}_{end}_m": at for side in ("north", "east") for end, at in EDGES},
     "planner": {"scan_range_m": 200.0},
     "battery": {"reserve_percent": 2},
 }

@@ -1,7 +1,5 @@
 """An independent judge of a flown track: what the vehicle truly did, against the true world.
 
-    python tests/closed_loop/true_track.py WORLD_TOML MISSION_TOML TRUTH_JSONL
-
 It shares no code with the two programs that it judges.  Everything happens in the local frame:
 north, east, altitude AMSL in metres (`_nea_m`).  Each rule has a margin: by how much it was kept,
 with a tolerance of 5 % of the bound (for altitudes, of the safety distance); negative: broken.
@@ -13,7 +11,6 @@ below the band is judged too.
 
 import json
 import math
-import sys
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -207,15 +204,3 @@ def judge_files(world_toml: Path, mission_toml: Path, truth_jsonl: Path) -> Marg
     margins = judge(world, mission, table[:, 0], table[:, 1:], world_toml.parent)
     crash_m_s = max(row["crash"]["speed_m_s"] if row.get("crash") else 0.0 for row in rows)
     return margins | {"no crash, m/s": -crash_m_s}
-
-
-def main() -> int:
-    """Print the margins; 1 if one of them is negative."""
-    margins = judge_files(*map(Path, sys.argv[1:4]))
-    for name, margin in margins.items():
-        sys.stdout.write(f"{name}: {margin:.1f}{' VIOLATION' * (margin < 0.0)}\n")
-    return int(min(margins.values()) < 0.0)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -210,7 +210,7 @@ def test_a_new_zone_on_the_way_ends_it_before_that(flight: OfflineFlight) -> Non
         assert zone.distance_m(points[:, 0], points[:, 1]).min() >= TASK.required_clearance_m
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(seed=st.integers(0, 10_000), tick_s=st.sampled_from([0.05, 0.1, 0.2]))
 def test_along_straight_parts_with_corners_and_gaps_it_comes_to_no_end_faster_than_it_can_stop(
     seed: int, tick_s: float

@@ -166,7 +166,7 @@ def looked_at(seeds: Iterable[int]) -> tuple[int, list[tuple[int, PlanOutcome]]]
     return ways, lost
 
 
-@pytest.mark.sample(4)
+@pytest.mark.sample(8)
 @pytest.mark.parametrize("part", range(8))
 def test_from_rest_there_is_a_leg_whenever_there_is_a_way(part: int) -> None:
     ways, lost = looked_at(range(part * PLACES, (part + 1) * PLACES))

@@ -19,7 +19,7 @@ LOOSER = {
 }
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(3)
 @pytest.mark.parametrize(
     "row",
     [row for row in WEAVES if row.speed_m_s < 10 or row.lean_deg >= 45.0],
@@ -38,7 +38,7 @@ def test_arducopter_follows_a_weaving_route_as_measured(row: tracked.Weave) -> N
         assert got.off_max_m == approx(row.off_max_m, abs=0.2 + 0.2 * row.off_max_m)
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(4)
 @pytest.mark.parametrize("row", STOPS, ids=lambda row: f"{row.kind}, {row.timeout_s:g} s")
 def test_a_stream_that_stops_is_flown_on_and_come_back_from_as_measured(row: tracked.Stop) -> None:
     got = tracked.end_stream(row)
@@ -54,7 +54,7 @@ SATURATED_M_S = 12.0
 """MPC_XY_VEL_MAX: there the lag grows for as long as one looks, and depends on the start."""
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(4)
 @pytest.mark.parametrize(
     "row",
     EIGHTS,
@@ -80,14 +80,14 @@ def test_px4_tracks_a_curve_as_the_real_one_does(row: tracked.Eight) -> None:
 # --- planes ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(5)
 @pytest.mark.parametrize("row", LOOK_AHEADS, ids=lambda row: "{} m, {} m, {} m/s2".format(*row))
 def test_arduplane_follows_a_weaving_route_as_well_as_the_real_one(row: tracked.LookAhead) -> None:
     got = tracked.fly_look_ahead(row)
     assert (got.rms_m, got.most_m) == approx((row.rms_m, row.most_m), rel=0.4, abs=2.0)
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(4)
 @pytest.mark.parametrize("row", FIXED_WING, ids=lambda row: row.name)
 def test_px4s_plane_follows_a_curve_as_measured(row: tracked.FixedWing) -> None:
     got = tracked.fly_fixed(row)

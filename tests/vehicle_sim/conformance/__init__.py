@@ -22,11 +22,11 @@ _ALL = (
     lidar.lidar_rows,
 )
 AGREED = {
-    "arducopter-gps-loss.tlog": (242, 245),
+    "arducopter-guided-global-stream-faults.tlog": (233, 235),
     "arducopter-guided-10mps.tlog": (223, 224),
     "arducopter-lidar.tlog": (214, 223),
     "arduplane-guided-reposition.tlog": (255, 256),
-    "arducopter-guided-global-stream-faults.tlog": (233, 235),
+    "arducopter-gps-loss.tlog": (242, 245),
     "px4-fixedwing-offboard.tlog": (257, 268),
     "px4-offboard-short.tlog": (167, 173),
     "px4-offboard-8mps.tlog": (256, 261),
