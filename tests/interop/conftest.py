@@ -9,6 +9,8 @@ import pytest
 from processes import HOME, Vehicle, python_of
 from programs import ROOT, Program
 
+CLIENTS = Path(__file__).parent / "clients"
+
 
 @pytest.fixture
 def programs(tmp_path: Path) -> Iterator[Callable[..., Program]]:
@@ -50,13 +52,23 @@ def fly(programs: Callable[..., Program], tmp_path: Path) -> Iterator[Callable[.
 
 @pytest.fixture
 def mavproxy(programs: Callable[..., Program], tmp_path: Path) -> Callable[..., Program]:
-    """Start MAVProxy without windows; its logs go to a folder of its own."""
+    """Start MAVProxy without windows; its logs go to a folder of this name."""
 
-    def start(master: str, *options: object) -> Program:
+    def start(master: str, *options: object, name: str = "mavproxy") -> Program:
         python = python_of("mavproxy")
-        modules = "log,wp,rally,fence,ftp,param,arm,mode,rc,misc,cmdlong,battery,output"
-        how = (f"--state-basedir={tmp_path / 'logs'}", f"--default-modules={modules}", *options)
-        program = python.with_name("mavproxy.py")
-        return programs("mavproxy", python, program, f"--master={master}", *how)
+        modules = "log,signing,wp,rally,fence,ftp,param,arm,mode,rc,misc,cmdlong,battery,output"
+        how = (f"--state-basedir={tmp_path / name}", f"--default-modules={modules}", *options)
+        return programs(name, python, python.with_name("mavproxy.py"), f"--master={master}", *how)
+
+    return start
+
+
+@pytest.fixture
+def client(programs: Callable[..., Program]) -> Callable[..., Program]:
+    """Run one of the scripts in clients/ with the interpreter of that environment."""
+
+    def start(environment: str, script: str, *arguments: object) -> Program:
+        name = f"{environment}-{Path(script).stem}"
+        return programs(name, python_of(environment), CLIENTS / script, *arguments)
 
     return start

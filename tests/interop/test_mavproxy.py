@@ -141,6 +141,41 @@ def test_parameters_and_plans_come_back_as_they_went(connect: Any, tmp_path: Pat
     ends(ground)
 
 
+def test_once_there_is_a_key_who_has_it_not_is_heard_on_the_first_link_only(
+    fly: Any, mavproxy: Any
+) -> None:
+    ports = free_port(), free_port()
+    to = [part for port in ports for part in ("--connect", f"udpout:127.0.0.1:{port}")]
+    first = mavproxy(f"udp:127.0.0.1:{ports[0]}", name="first")
+    second = mavproxy(f"udp:127.0.0.1:{ports[1]}", "--source-system=254", name="second")
+    for ground in (first, second):
+        ground.expect("Waiting for heartbeat")
+    vehicle = fly(*to, speedup=20)
+    for ground in (first, second):
+        ground.expect("online system 1")
+        ground.expect(r"Received (\d+) parameters")
+    second.ask("mode GUIDED", "DO_SET_MODE: ACCEPTED")
+    vehicle.wait_until(lambda now: now["mode"] == "GUIDED")
+
+    first.ask("signing setup secret", "Setup signing key")
+    first.type("set allow_unsigned False")  # from here on it believes signed frames only
+    first.ask("mode STABILIZE", "DO_SET_MODE: ACCEPTED")
+    refused_s = vehicle.wait_until(lambda now: now["mode"] == "STABILIZE")["t_s"]
+    for key in ("", "signing key other"):
+        if key:
+            second.ask(key, "Setup signing key")
+        second.type("mode GUIDED")
+        until_s = vehicle.track()[-1]["t_s"] + 10.0
+        vehicle.wait_until(lambda now, until_s=until_s: now["t_s"] > until_s)
+        assert {r["mode"] for r in vehicle.track() if r["t_s"] > refused_s} == {"STABILIZE"}
+    second.ask("signing key secret", "Setup signing key")
+    second.ask("mode GUIDED", "DO_SET_MODE: ACCEPTED")
+    vehicle.wait_until(lambda now: now["mode"] == "GUIDED")
+    first.ask("signing remove", "Removed signing")
+    ends(first)
+    ends(second)
+
+
 def test_what_is_typed_at_a_mavproxy_on_another_link_of_the_vehicle_is_for_the_companion(
     programs: Any, mavproxy: Any, tmp_path: Path
 ) -> None:

@@ -1,27 +1,25 @@
 """MAVSDK-Python against the PX4 personality: the present package, and the last that spoke gRPC."""
 
 import json
-from pathlib import Path
 from typing import Any
 
 import pytest
-from processes import HOME, away_m, height_m, place, python_of
+from processes import HOME, away_m, height_m, place
 from programs import free_port
 
 from vehicle_sim.autopilot.px4copter import FIRMWARE
 from vehicle_sim.parameters import Kind
 
-SESSION = Path(__file__).parent / "clients" / "mavsdk_session.py"
 OLDER = pytest.param("mavsdk-3", marks=pytest.mark.nightly)
 
 
 @pytest.mark.parametrize("environment", ["mavsdk", OLDER])
 def test_it_reads_loads_and_flies_by_commands_missions_and_setpoints(
-    environment: str, fly: Any, programs: Any
+    environment: str, fly: Any, client: Any
 ) -> None:
     port = free_port()
     url = f"udpin://127.0.0.1:{port}"
-    other = programs(environment, python_of(environment), SESSION, url, free_port())
+    other = client(environment, "mavsdk_session.py", url, free_port())
     vehicle = fly("--autopilot", "px4", "--connect", f"udpout:127.0.0.1:{port}", speedup=10)
     assert other.wait(90.0) == 0, other.transcript
     found = json.loads(other.transcript.splitlines()[-1])
