@@ -326,6 +326,19 @@ def test_the_point_that_is_sent_runs_over_onto_the_next_leg_and_stays_at_an_end(
         assert sent.point_nea_m == pytest.approx(place.point_nea_m)
 
 
+@pytest.mark.parametrize("safety_m", [5.0, 20.0, 500.0])
+def test_a_plane_is_sent_past_its_target_no_farther_than_it_is_proven_clear_there(
+    safety_m: float,
+) -> None:
+    """Left there, its circle lies so far beside the last one that keeps d_s besides its errors."""
+    settings = replace(PLANE_TASK.settings, safety_distance_m=safety_m)
+    leg = leg_of(
+        np.outer([0.0, 0.2, 0.6, 1.0], [900.0, 0.0, 0.0]),
+        rules=replace(PLANE_TASK, settings=settings),
+    )
+    assert leg.past_target_m == pytest.approx(min(safety_m, 0.25 * LOITER))
+
+
 @pytest.mark.parametrize("share", [0.0, 0.5])
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 def test_a_plane_leaves_its_circle_once_in_a_turn_and_joins_the_path_within_its_circle(
