@@ -8,6 +8,7 @@ import itertools
 import math
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 from made_up import (
     AWAY,
@@ -362,6 +363,9 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     **{f"told to return after a {again.__name__}, found in {found.value}": (under_way(),
         30.0, again, now(mode=found), 20.0, RETURN, ASKS_BACK, asks_for_the_whole_way)
         for again in (Craft.restart, Craft.reboot) for found in (Mode.GUIDED, Mode.HOLD)},
+    "held without a gap while its way back is looked for": (under_way(),
+        RETURN, RETURNING,
+        lambda it: max(np.diff([each.time_s for each in it.sent(Setpoint)]).tolist()) < 0.15),
     # a pause gives back what it broke off
     "a return paused at once": (under_way(),
         RETURN, PAUSE, 2.0, CONTINUE, DONE, at_its_start,
@@ -528,6 +532,9 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         LEFT_ALONE, DONE, ends(Reason.ARMED_ALREADY)),
     "somebody arms what is ready": (ready,
         now(armed=True, mode=Mode.GUIDED), DONE, ends(Reason.ARMED_ALREADY), told_nothing),
+    "a pilot's mode before its take-off is broken off": (lambda: Craft().fly_to(Phase.ARMING),
+        LANDS, hears(events.VehicleStatus, mode=Mode.OTHER, armed=False, failsafe=False),
+        lambda it: not moving(it.take(*(events.Tick(time_s=it.now_s + s) for s in (1.0, 2.0))))),
     # another companion of the same vehicle is heard: on the ground both refuse
     "another companion before it says anything": (preparing,
         NAMESAKE, DONE, ends(Reason.NOT_ALONE), told_nothing),
