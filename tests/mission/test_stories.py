@@ -29,6 +29,7 @@ from made_up import (
     now,
     only_the_first,
     order_of,
+    position,
     says,
     texts,
     told,
@@ -80,6 +81,14 @@ def taken_over(of: Mission = AWAY) -> Craft:
 
 def closed_in(request: PlanRequest) -> NotPlanned:
     return NotPlanned(plan_id=request.plan_id, refusal=Refusal.START_NEAR_TERRAIN)
+
+
+def low() -> Craft:
+    """It climbs to 4 m above home."""
+    lower_m = NEAR.task.take_off_amsl_m - (HOME_AMSL_M + 4.0)
+    floor_m = NEAR.task.limits.floor_amsl_m - lower_m
+    limits = replace(NEAR.task.limits, floor_amsl_m=floor_m)
+    return Craft(replace(NEAR, task=replace(NEAR.task, limits=limits)))
 
 
 def landing_begun() -> Craft:
@@ -447,6 +456,10 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "one that was accepted and does not begin is asked for again": (lambda: Craft(NEAR),
         now(takes_off=False, accepts=True), TAKES_OFF, 5.8,
         lambda it: len(it.sent(events.TakeOff)) == 2),
+    "a low take-off has not ended as it lifts off": (low,
+        TAKES_OFF, now(climbs=False), hears(events.LandedState, landed=Landed.IN_AIR),
+        lambda it: it.take(position(it.now_s + 0.05, (0.0, 0.0, HOME_AMSL_M + 0.3))) is not None,
+        lambda it: it.phase is Phase.TAKING_OFF),
     # a landing that is broken off is held where it is until somebody says go on
     "broken off": (landing_begun, *BROKEN_OFF),
     "broken off after a restart": (landing_begun, Craft.restart, *BROKEN_OFF),
