@@ -192,6 +192,8 @@ def test_a_straight_way_out_ends_before_a_radar_sees_it_where_it_can() -> None:
     assert found is not None
     ends_at = found[0].subpath.control_nea_m[-1]
     assert 6.0 < math.dist(ends_at, radar.centre_nea_m) < 8.0
+    # the way there takes another such piece, and a stop before it
+    assert found[1] >= searches.prices.price_m(found[0]) + task.stop_m
 
 
 def test_in_flight_a_leg_is_planned_as_slowly_as_it_is_entered() -> None:
