@@ -285,6 +285,17 @@ def test_a_moment_of_a_wrong_time_changes_nothing_of_a_flight(copies: int) -> No
         assert it.phase is Phase.FLYING
 
 
+def test_that_it_has_left_its_path_is_noted_at_once() -> None:
+    """Not with what changes next."""
+    it = flying()
+    tube_m, before = it.session.state.leg.motion.tube_m, times(it, "path_left")
+    for share in (0.2, 0.4, 0.6, 0.8, 0.95, 1.1):  # a jump that is larger is not believed
+        it.vehicle.north_m -= 0.6 * share * tube_m
+        it.vehicle.east_m += 0.8 * share * tube_m
+        it.tick()
+    assert times(it, "path_left") == [*before, pytest.approx(it.vehicle.time_ms * 1e-3)]
+
+
 # --- silence, and what must not be sent
 
 

@@ -123,6 +123,9 @@ def test_the_scene_and_the_panel_follow_the_time(
     assert "paused by a person" in held_then[1]
     assert held_then[1:] != began[1:]
     assert held_then[2] != began[2]
+    page._slider.value, page._shown = 5.0, ()  # moved just now, and more of the ground is read
+    page.step(94.0, 0.1)
+    assert page._slider.value == 5.0
 
 
 def test_what_a_lidar_passed_over_is_shown_for_a_second(

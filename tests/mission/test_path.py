@@ -20,6 +20,7 @@ from made_up import (
     SPEED_M_S,
     TICK_S,
     Craft,
+    calm,
     flying,
     led,
     now,
@@ -29,6 +30,7 @@ from made_up import (
 from made_up_plans import LEG_M
 from renewed import deep, replace
 
+from companion.mavlink.autopilots import ARDUCOPTER
 from companion.mission import events
 from companion.mission.decisions import Turn
 from companion.mission.events import Plan, Setpoint, StartScan
@@ -171,6 +173,18 @@ LIMITS = {
     "not back, in time": ((ASIDE,), ERROR_M, STOPS_S + 2.0, Reason.BESIDE_PATH, None),
 }
 """Ways, how far, and for how long: from there on it is to stop on its path, or to hold."""
+
+
+@pytest.mark.parametrize(("off_m", "looks"), [(4.0, False), (2.9, True)])
+def test_no_leg_is_looked_for_until_a_copter_is_within_the_tube_that_it_begins_with(
+    off_m: float, looks: bool
+) -> None:
+    """Of 3 m: else it would have left its path as it sets out."""
+    craft = calm(ARDUCOPTER.traits).fly_to(Phase.FLYING)
+    craft.state, (north, east, up) = deep(craft.state), craft.here
+    craft.state.flight.hover_nea_m = north + off_m, east, up
+    told = craft.take(position(craft.now_s + TICK_S, craft.here))
+    assert (StartScan in map(type, told)) is looks
 
 
 @pytest.mark.parametrize("share", [0.98, 1.02])

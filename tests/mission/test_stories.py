@@ -8,6 +8,7 @@ import itertools
 import math
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 from made_up import (
     AWAY,
@@ -28,6 +29,7 @@ from made_up import (
     now,
     only_the_first,
     order_of,
+    position,
     says,
     texts,
     told,
@@ -79,6 +81,14 @@ def taken_over(of: Mission = AWAY) -> Craft:
 
 def closed_in(request: PlanRequest) -> NotPlanned:
     return NotPlanned(plan_id=request.plan_id, refusal=Refusal.START_NEAR_TERRAIN)
+
+
+def low() -> Craft:
+    """It climbs to 4 m above home."""
+    lower_m = NEAR.task.take_off_amsl_m - (HOME_AMSL_M + 4.0)
+    floor_m = NEAR.task.limits.floor_amsl_m - lower_m
+    limits = replace(NEAR.task.limits, floor_amsl_m=floor_m)
+    return Craft(replace(NEAR, task=replace(NEAR.task, limits=limits)))
 
 
 def landing_begun() -> Craft:
@@ -362,6 +372,9 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     **{f"told to return after a {again.__name__}, found in {found.value}": (under_way(),
         30.0, again, now(mode=found), 20.0, RETURN, ASKS_BACK, asks_for_the_whole_way)
         for again in (Craft.restart, Craft.reboot) for found in (Mode.GUIDED, Mode.HOLD)},
+    "held without a gap while its way back is looked for": (under_way(),
+        RETURN, RETURNING,
+        lambda it: max(np.diff([each.time_s for each in it.sent(Setpoint)]).tolist()) < 0.15),
     # a pause gives back what it broke off
     "a return paused at once": (under_way(),
         RETURN, PAUSE, 2.0, CONTINUE, DONE, at_its_start,
@@ -413,6 +426,9 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "a reboot at its target": (arrived, Craft.reboot, PREPARING, DONE, arrives),
     "a restart before it has lifted off": (lambda: Craft(NEAR),
         Phase.TAKING_OFF, Craft.restart, DONE, arrives),
+    "a restart while it spins its motors up": (lambda: Craft(NEAR),
+        now(takes_off=False, accepts=True), TAKES_OFF, 0.5, Craft.restart, 3.0,
+        now(climb_to_m=NEAR.task.take_off_amsl_m), DONE, arrives),
     "without its memory": (under_way(),
         30.0, without_memory, DONE, arrives, says("without memory"), says("torn")),
     "without its memory on the ground": (Craft,
@@ -422,6 +438,9 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         lambda it: it.state.reason is Reason.NOT_READY and not it.sent(events.TakeOff),
         lambda it: len(it.sent(events.Disarm)) > 0),
     "a reboot in its landing": (landing_begun, Craft.reboot, DONE, is_down),
+    "a reboot in a landing that was ordered, which a pilot breaks off": (under_way(),
+        LANDS, LANDING, 5.0, Craft.reboot, TAKEN, Reason.MODE_TAKEN, GIVEN_BACK, 20.0, IS_PAUSED,
+        START, DONE, is_down, ends_as(Outcome.STOPPED, "landed: told to land")),
     "a landing asked for in vain": (lambda: arrived(LAND),
         now(obeys_modes=False), LANDING, now(mode=Mode.GUIDED), 5.0,
         lambda it: it.phase is LANDING, now(obeys_modes=True), DONE, is_down),
@@ -437,16 +456,19 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "one that was accepted and does not begin is asked for again": (lambda: Craft(NEAR),
         now(takes_off=False, accepts=True), TAKES_OFF, 5.8,
         lambda it: len(it.sent(events.TakeOff)) == 2),
+    "a low take-off has not ended as it lifts off": (low,
+        TAKES_OFF, now(climbs=False), hears(events.LandedState, landed=Landed.IN_AIR),
+        lambda it: it.take(position(it.now_s + 0.05, (0.0, 0.0, HOME_AMSL_M + 0.3))) is not None,
+        lambda it: it.phase is Phase.TAKING_OFF),
     # a landing that is broken off is held where it is until somebody says go on
     "broken off": (landing_begun, *BROKEN_OFF),
     "broken off after a restart": (landing_begun, Craft.restart, *BROKEN_OFF),
     "broken off by a pilot": (landing_begun, TAKEN, Reason.MODE_TAKEN, GIVEN_BACK, *BROKEN_OFF),
     "broken off by a failsafe": (landing_begun,
         now(mode=Mode.RETURN, failsafe=True), Reason.FAILSAFE, *BROKEN_OFF),
-    "broken off by its fence": (under_way(),
-        LANDS, LANDING, until(lambda it: it.mode is Mode.LAND), 3.0, hears(events.FenceBreach),
-        now(mode=Mode.HOLD, obeys_modes=False), Reason.FENCE_BREACHED, GIVEN_BACK, 20.0,
-        lambda it: it.phase is not FLYING),
+    "broken off by its fence": (landing_begun,
+        hears(events.FenceBreach), now(mode=Mode.HOLD, obeys_modes=False), Reason.FENCE_BREACHED,
+        GIVEN_BACK, *BROKEN_OFF),
     "its failsafe lands it": (flying,
         hears(events.Estimator, good=False), now(estimator=False), LANDS_BY_ITSELF, DONE,
         ends(Reason.DISARMED, Reason.FAILSAFE, Reason.ESTIMATOR)),
@@ -523,6 +545,9 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         LEFT_ALONE, DONE, ends(Reason.ARMED_ALREADY)),
     "somebody arms what is ready": (ready,
         now(armed=True, mode=Mode.GUIDED), DONE, ends(Reason.ARMED_ALREADY), told_nothing),
+    "a pilot's mode before its take-off is broken off": (lambda: Craft().fly_to(Phase.ARMING),
+        LANDS, hears(events.VehicleStatus, mode=Mode.OTHER, armed=False, failsafe=False),
+        lambda it: not moving(it.take(*(events.Tick(time_s=it.now_s + s) for s in (1.0, 2.0))))),
     # another companion of the same vehicle is heard: on the ground both refuse
     "another companion before it says anything": (preparing,
         NAMESAKE, DONE, ends(Reason.NOT_ALONE), told_nothing),

@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from planning import ARDUCOPTER, limits
+from planning import ARDUCOPTER, PLANE_TASK, limits
 
+from companion.mavlink.autopilots import PX4_FIXED_WING
 from companion.path.envelope import COPTER, Handling, envelope_of, flown_on_m
 
 
@@ -29,6 +30,18 @@ def test_the_reach_covers_the_54_m_that_arducopter_flew_on_at_10_m_s() -> None:
     # ardupilot.md 3: WPNAV_ACCEL 2.5 m/s2, GUID_TIMEOUT 3 s
     motion = envelope_of(limits(acceleration_m_s2=2.5), ARDUCOPTER)
     assert 54.0 <= flown_on_m(motion, 10.0) <= 60.0
+
+
+def test_a_copter_is_asked_to_rise_no_harder_than_arducopter_does_by_default() -> None:
+    # WPNAV_ACCEL_Z of 1 m/s2, WPNAV_ACCEL of 2.5
+    assert envelope_of(limits(acceleration_m_s2=2.5), ARDUCOPTER).vertical_m_s2 <= 1.0
+
+
+def test_what_is_proven_of_a_px4_plane_covers_a_circle_44_m_beside_its_last_point() -> None:
+    # px4.md 10: where it goes over to its own hold in wind of 5 m/s, when the setpoints end
+    bounds = replace(PLANE_TASK.limits, loiter_radius_m=80.0, tracking_error_m=15.0)
+    motion = envelope_of(bounds, PX4_FIXED_WING.traits.handling)
+    assert motion.loiter_m + motion.tube_m >= 80.0 + 44.0
 
 
 @pytest.mark.parametrize("handling", [ARDUCOPTER, COPTER])

@@ -197,6 +197,13 @@ def test_who_owes_more_than_a_way_round_all_in_sight_is_told_that_no_way_on_was_
     assert told.refusal is Refusal.NO_WAY_PROVEN
 
 
+def test_guesses_are_given_up_where_the_best_costs_far_more_than_they_promise() -> None:
+    """Else it flies forth and back before a way that cannot be flown."""
+    found = plan(replace(at_the_mouth(2_282.0, owed_m=0.0), progress=Progress()))
+    assert isinstance(found, Planned)
+    assert found.progress.believed_below_m < math.inf
+
+
 def test_who_gets_on_flies_on_whatever_it_owes() -> None:
     owed_m = 2.0 * math.tau * RANGE_M
     through = plan(at_the_mouth(2_332.0, owed_m=owed_m))

@@ -135,6 +135,16 @@ def test_at_rest_it_asks_four_times_each_wider_and_a_leg_without_a_successor_is_
     assert flight.legs[1].subpath.control_nea_m[0] == pytest.approx(np.array(end))
 
 
+def test_a_leg_is_flown_no_faster_than_its_plan_is_proven_for_and_takes_the_longer() -> None:
+    took_s = []
+    for share in (1.0, 0.5):
+        slow_m_s = share * TASK.limits.speed_m_s
+        flight = fly(TASK, TRUTH, START, TARGET, seed=3, most_legs=1,
+            planner=lambda r, slow=slow_m_s: replace(plan(r), speed_m_s=slow))  # fmt: skip
+        took_s.append(flight.seconds)
+    assert took_s[1] > 1.5 * took_s[0]
+
+
 def test_a_flight_that_runs_out_of_legs_stops_and_says_so_and_how_to_go_on() -> None:
     cut = fly(TASK, TRUTH, START, TARGET, seed=3, most_legs=2)
     assert cut.failure is not None

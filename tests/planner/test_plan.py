@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from brute_force import violations
+from made_up_plans import straight_plan
 from planning import BLANK, TASK, TRUTH
 from planning import ask as asked
 
@@ -24,6 +25,7 @@ from companion.planner.progress import SLACK, Progress
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal, Rest
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
+from companion.world.radars import Radar
 from companion.world.zones import PolygonZone
 
 Vector = tuple[float, float, float]
@@ -235,6 +237,23 @@ def test_a_leg_leads_away_only_if_that_is_news() -> None:
         told = replace(prices, progress=progress)
         assert told.leads_away(here, end) is is_news
         assert not told.leads_away(end, here)  # nearer to the target
+
+
+def test_the_last_leg_pays_a_radar_for_its_own_length_as_a_straight_piece_does() -> None:
+    """That is charged metre by metre; the mean over a short leg stood for all of R."""
+    low_m, range_m = TASK.band_amsl_m[0], TASK.settings.scan_range_m
+    here, target_ne_m = (4_000.0, 4_000.0, low_m), (4_200.0, 4_000.0)
+    radar = Radar(name="r", centre_nea_m=(*target_ne_m, low_m), range_m=9_000.0)
+    task = replace(TASK, radars=(radar,))
+    plain = replace(TRUTH, upper_m=np.full_like(TRUTH.upper_m, 100.0))
+    prices = Prices(task, cost_to_go(plain, task, here[:2], target_ne_m))
+    piece = replace(
+        straight_plan(ask(task, plain, **hover(*here), target_ne_m=target_ne_m)), terms={}
+    )
+    seen, weights = 300.0, task.settings.weights  # ten samples, each surely seen
+    cost = weights.length * 100.0 / 2.4 * piece.subpath.length_m / range_m + weights.radar * seen
+    leg = replace(piece, cost=cost, terms={"radar": seen})
+    assert prices.cost_m(leg) == pytest.approx(prices.cost_m(piece), rel=0.05)
 
 
 # --- the search

@@ -77,7 +77,7 @@ def test_a_level_leg_is_flown_in_the_time_of_a_trapezium_and_stops_just_at_its_e
 ) -> None:
     leg = leg_to(1_200.0, -900.0, 0.0)
     references = flown(leg, tick_s)
-    trapezium_s = 1_500.0 / V + 0.5 * V / MOTION.gaining_m_s2 + 0.5 * V / A
+    trapezium_s = 1_500.0 / V + 0.5 * V / (0.5 * A) + 0.5 * V / A  # gained more gently
     settles_s = MOTION.settling_s * math.log(100.0)
     assert trapezium_s <= len(references) * tick_s <= trapezium_s + settles_s + 1.5 + 4 * tick_s
     end = flown(leg, tick_s, goes_on=True)[-1]  # with a successor it does not stop
@@ -324,6 +324,19 @@ def test_the_point_that_is_sent_runs_over_onto_the_next_leg_and_stays_at_an_end(
     ):
         sent = sent_pose(Reference(length_m=from_m), leg, then, lead_m)
         assert sent.point_nea_m == pytest.approx(place.point_nea_m)
+
+
+@pytest.mark.parametrize("safety_m", [5.0, 20.0, 500.0])
+def test_a_plane_is_sent_past_its_target_no_farther_than_it_is_proven_clear_there(
+    safety_m: float,
+) -> None:
+    """Left there, its circle lies so far beside the last one that keeps d_s besides its errors."""
+    settings = replace(PLANE_TASK.settings, safety_distance_m=safety_m)
+    leg = leg_of(
+        np.outer([0.0, 0.2, 0.6, 1.0], [900.0, 0.0, 0.0]),
+        rules=replace(PLANE_TASK, settings=settings),
+    )
+    assert leg.past_target_m == pytest.approx(min(safety_m, 0.25 * LOITER))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])

@@ -20,10 +20,15 @@ from numpy.typing import NDArray
 from planning import ask
 
 from companion.config import load_mission
+from companion.planner.field import cost_to_go
 from companion.planner.plan import plan
+from companion.planner.price import Prices
 from companion.planner.request import Planned, PlanOutcome, PlanRequest, Rest
+from companion.planner.searches import Searches
 from companion.planner.settings import Task
+from companion.planner.way_out import way_out
 from companion.world.known_map import KnownMap
+from companion.world.radars import Radar
 
 BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]
@@ -172,6 +177,23 @@ def test_from_rest_there_is_a_leg_whenever_there_is_a_way(part: int) -> None:
     ways, lost = looked_at(range(part * PLACES, (part + 1) * PLACES))
     assert lost == []
     assert ways > PLACES // 4
+
+
+def test_a_straight_way_out_ends_before_a_radar_sees_it_where_it_can() -> None:
+    """The target lies within its range: the farthest piece towards it would be seen."""
+    radar = Radar(name="r", centre_nea_m=(12.0, 0.0, ALTITUDE_M), range_m=6.0)
+    task, target = replace(mission_task(5.0, 60), radars=(radar,)), (12.0, 0.0)
+    open_m = np.full((2 * HALF, 2 * HALF), GROUND_M)
+    known = map_of(open_m, open_m > 0.0)
+    request = ask(task, known, (0.0, 0.0, ALTITUDE_M), target_ne_m=target)
+    searches = Searches(request, lambda: False)
+    searches.prices = Prices(task, cost_to_go(known, task, (0.0, 0.0), target))
+    found = way_out(request, searches, looks=False, strays=False)
+    assert found is not None
+    ends_at = found[0].subpath.control_nea_m[-1]
+    assert 6.0 < math.dist(ends_at, radar.centre_nea_m) < 8.0
+    # the way there takes another such piece, and a stop before it
+    assert found[1] >= searches.prices.price_m(found[0]) + task.stop_m
 
 
 def test_in_flight_a_leg_is_planned_as_slowly_as_it_is_entered() -> None:

@@ -105,6 +105,12 @@ TRACKS = {
         "2.0 waiting, 3.0 arming",
         "",
     ),
+    "a reboot before the first fix counts, too": (
+        (position(50.0, lat=0, lon=0), 2.0, 3.0),
+        [begun("preparing", 50.0), events.Rebooted(time_s=1.0), begun("flying", 3.0)],
+        "2.0 preparing, 3.0 flying",
+        "reboot at 2.0",
+    ),
     "a single fall of the clock is a mistake": (
         (100.0, 100.1, 3.0, 100.2, 100.3),
         [],
