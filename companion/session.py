@@ -17,12 +17,12 @@ that position until the plan is delivered (Output.awaits_plan), otherwise the pl
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from operator import attrgetter
 from typing import Any, Final, final
 
 from msgspec.structs import replace
 
-from companion.mavlink import near_scanner, near_sensing
 from companion.mavlink.autopilot_client import AutopilotClient, AutopilotCommand
 from companion.mavlink.autopilots import described
 from companion.mavlink.component import COMMANDS, Component, heartbeat
@@ -37,14 +37,11 @@ from companion.mavlink.link import (
     VehicleClock,
     VehicleSelector,
 )
-from companion.mavlink.near_scanner import NearScanner
-from companion.mavlink.poses import Poses
+from companion.mavlink.poses import ATTITUDE, Poses
 from companion.mavlink.preflight import Preflight
-from companion.mavlink.rangefinder import Rangefinder
+from companion.mavlink.sensors import Sensor, others_of, scanner_of
 from companion.mavlink.signing import Signing
 from companion.mavlink.statustext import StatusTexts, final_text
-from companion.mavlink.terrain_download import MESSAGES as TERRAIN
-from companion.mavlink.terrain_download import TerrainDownload
 from companion.mission import changes, checkpoint, events, journal, machine
 from companion.mission.checkpoint import PERIOD_S
 from companion.mission.decisions import GONE_IN_AIR_S, GONE_S, Context
@@ -69,6 +66,7 @@ _SILENT_S = 3.0
 
 
 _Handler = Callable[[Incoming], None]
+_Reader = Callable[[Message, float], None]
 _frame_of: Final = attrgetter("frame")
 
 
@@ -105,7 +103,13 @@ class Session:
         """When a person was last warned, and of what."""
         self.vehicle: AutopilotClient | None = None
         """The autopilot, once it is known."""
-        self.receiver = Receiver(signing, UNDECODED_MESSAGES - near_scanner.messages_of(mission))
+        self._poses = Poses(mission.frame)
+        self._scanner = scanner_of(mission, self._poses)
+        self.sensors: tuple[Sensor, ...] = (self._scanner, *others_of(mission, self._poses))
+        self._measuring = [each for each in self.sensors if ATTITUDE in each.streams_hz]
+        """Those that need poses."""
+        read = (number for sensor in self.sensors for _, number in sensor.reads)
+        self.receiver = Receiver(signing, UNDECODED_MESSAGES.difference(read))
         self._waiting: deque[Incoming] = deque(maxlen=_MOST_WAITING)
         """Received messages that have not been handled yet, in order."""
         self.signing = signing
@@ -116,14 +120,7 @@ class Session:
         self._outbox = FrameEncoder(self.selector.system_id, signing)
         self._out = self._outbox.out
         self._texts = StatusTexts()
-        self._poses = Poses(mission.frame)
-        self.near = None if mission.near is None else NearScanner(mission, self._poses)
-        """Reads the sensor of near things, if that is the mission's scanner."""
-        error_m = mission.rangefinder_error_m
-        self.rangefinder = None if error_m is None else Rangefinder(self._poses, error_m)
-        """Reads the one that looks down, if the mission compares it with the map."""
-        self._scan: NearScanner | TerrainDownload | None = None
-        """The one that is under way."""
+        self._is_scanning = False
         self._preflight = Preflight()
         self._component: Component | None = None
         self._time_asked = 0
@@ -138,7 +135,7 @@ class Session:
         """Its last heartbeat; at the end only one from after that."""
         self._asked_at_s = -math.inf
         """When it was asked for a mode; before there is a vehicle, when our heartbeat was sent."""
-        self._handlers = self._table(mission)
+        self._handlers = self._table()
         self._clients = (self._serve_vehicle, self._beat, self._say, self._ask_again)
         self._due_s = self._looked_s = -math.inf
         """When the first of the clients is due, and when it was last looked whether one is."""
@@ -149,23 +146,19 @@ class Session:
             kept = {key: resume[0][key] for key in checkpoint.LOST if key in resume[0]}
             self._note({"kind": "resumed", "phase": resume[0].get("phase"), **kept})
 
-    def _table(self, mission: Mission) -> dict[tuple[int | None, int | None], tuple[_Handler, ...]]:
+    def _table(self) -> dict[tuple[int, int | None], tuple[_Handler, ...]]:
         """What handles a message of our vehicle, by component and kind; None: any other kind."""
         at, any_other = AUTOPILOT_COMPONENT, self._on_autopilot
-        table: dict[tuple[int | None, int | None], tuple[_Handler, ...]] = {
-            (mission.scanner_component_id, None): (self._on_radar,),
+        table: dict[tuple[int, int | None], tuple[_Handler, ...]] = {
             (at, None): (any_other,),
             (at, _HEARTBEAT): (self._on_heartbeat, any_other),
             (at, _TIMESYNC): (any_other, self._on_timesync),
             (at, _POSITION): (self._on_position,),
         }
-        if self.near is not None or self.rangefinder is not None:
-            table[at, near_scanner.ATTITUDE] = (self._on_attitude, any_other)
-            for number in near_scanner.OF_AUTOPILOT:
-                table[at, number] = (self._on_sensor, any_other)
-        if mission.near is not None and mission.near.component_id != at:
-            for number in near_sensing.MESSAGES.values():
-                table[mission.near.component_id, number] = (self._on_sensor,)
+        for sensor in self.sensors:
+            for (component, number), read in sensor.reads.items():
+                others = table.get((component, number), (any_other,) * (component == at))
+                table[component, number] = (partial(self._on_sensor, sensor, read), *others)
         return table
 
     @property
@@ -289,12 +282,6 @@ class Session:
         self._keep(at_once=True)
         return self.take_output()
 
-    def scan_now(self) -> None:
-        """Start a radar scan in any phase (before a flight)."""
-        position = self.state.vehicle.position_nea_m
-        if position is not None and self.state.targets_ne_m:
-            self._start_scan(position)
-
     def hold_frames(self) -> list[bytes]:
         """The frames that put a vehicle under our control on hold, unsigned: no side effects."""
         return self._outbox.encode_unsent(self._holding())
@@ -366,26 +353,12 @@ class Session:
             self._handle(events.PlanLate(time_s=self.now_s, plan_id=late))
         return self._lockstep
 
-    def _on_radar(self, heard: Incoming) -> None:
-        """A message of the radar: its answers to a scan, and when to look whether it is over."""
-        scan, position = self._scan, self.state.vehicle.position_nea_m
-        if heard.number in TERRAIN and isinstance(scan, TerrainDownload) and position is not None:
-            scan.on_message(heard.message, position)
-        self._scan_on()
-
-    def _on_sensor(self, heard: Incoming) -> None:
-        """A distance sensor of the autopilot or beside it, or the health of those it has."""
-        of_autopilot = heard.component == AUTOPILOT_COMPONENT
-        if self.near is not None:
-            self.near.on_message(heard.message, self.now_s)
-        if self.rangefinder is not None and of_autopilot and heard.number == near_sensing.SECTORS:
-            self.rangefinder.on_message(heard.message, self.now_s)
-
-    def _on_attitude(self, heard: Incoming) -> None:
-        """How it was turned, for those who measure."""
-        self._poses.on_attitude(heard.message)
-        if self.near is not None:
-            self._handle(self.near.seen(self.now_s))
+    def _on_sensor(self, sensor: Sensor, read: _Reader, heard: Incoming) -> None:
+        """A message that a sensor reads: what it says then, and whether its scan is over."""
+        read(heard.message, self.now_s)
+        self._handle(sensor.seen(self.now_s, self.state.flight.known))
+        if sensor is self._scanner and self._is_scanning:
+            self._scan_on()
 
     def _on_heartbeat(self, heard: Incoming) -> None:
         """The first heartbeat of our autopilot: select its strategy."""
@@ -397,6 +370,8 @@ class Session:
         traits = None
         if self.vehicle is not None:
             self._component = Component(self.mission, system, self._version)
+            for sensor in self.sensors:
+                self.vehicle.streams.add(sensor.streams_hz)
             traits = self.vehicle.autopilot.traits
         facts: dict[str, Any] = {"system_id": system, "name": name}
         self._note({"kind": "vehicle found", **facts})
@@ -410,8 +385,10 @@ class Session:
         if now_s >= plan.due_s and not shadow:
             self._handle(plan.take(now_s))
         event = vehicle.on_position(heard.message, now_s)
-        if self.near is not None or self.rangefinder is not None:
-            self._measure(event)
+        if event is not None and self._measuring:
+            self._poses.on_position(event.time_s, event.position_nea_m)
+        for sensor in self._measuring:
+            self._handle(sensor.seen(now_s, self.state.flight.known))
         self._handle(event)
         if now_s >= plan.due_s and shadow:
             self._handle(plan.take(now_s))  # the position before may be a second old
@@ -419,22 +396,13 @@ class Session:
             self._look_at_news(vehicle)
         if self.state.stage.phase in (Phase.PREPARING, Phase.READY):  # the checks go on
             if (centre := self._preflight.scan_position(self)) is not None:
-                self._start_scan(centre)
+                self.scan(centre)
             else:
                 self._handle(self._preflight.judged(self))
-        if self._scan is not None:
+        if self._is_scanning:
             self._scan_on()
         if not self._looked_s <= now_s < self._due_s - _ROUNDING_S:
             self._meet_deadlines()
-
-    def _measure(self, event: events.Position | None) -> None:
-        """What the sensors have measured by the time of a position."""
-        if event is not None:
-            self._poses.on_position(event.time_s, event.position_nea_m)
-        if self.near is not None:
-            self._handle(self.near.seen(self.now_s))
-        if event is not None and self.rangefinder is not None:
-            self._handle(self.rangefinder.seen(self.now_s, self.state.flight.known))
 
     def _on_autopilot(self, heard: Incoming) -> None:
         """Any other message of the autopilot."""
@@ -538,7 +506,7 @@ class Session:
         """The autopilot has rebooted: prepare again; the known terrain is kept."""
         stage = replace(self.state.stage, since_s=self.now_s)
         self.state = replace(self.state, now_s=self.now_s, stage=stage)
-        self._scan, self._asked_at_s = None, -math.inf
+        self._is_scanning, self._asked_at_s = False, -math.inf
         self._plan.forget()
         if self.vehicle is not None:
             self.vehicle.rebooted()
@@ -603,20 +571,19 @@ class Session:
     # --- plans and scans
 
     def _scan_on(self) -> None:
-        if (scan := self._scan) is None:
-            return
-        if (done := scan.done(self.now_s)) is not None:
-            self._scan, self.last_scan = None, done
-            self._handle(done)
-        elif (request := scan.on_time(self.now_s)) is not None:
-            self._send_all([request])
+        """A scan that is under way: it is over, or something has to be asked for it."""
+        told = self._scanner.go_on(self.now_s, self.state.vehicle.position_nea_m)
+        if isinstance(told, events.ScanDone):
+            self._is_scanning, self.last_scan = False, told
+            self._handle(told)
+        elif told is not None:
+            self._send_all([told])
 
-    def _start_scan(self, centre_nea_m: Vector) -> None:
-        of = centre_nea_m, self.state, self.now_s
-        scan = TerrainDownload(self.mission, *of) if self.near is None else self.near.begun(*of)
-        self._scan = scan
-        entry = {"kind": "scan", "centre_nea_m": list(centre_nea_m), "blocks": scan.asked}
-        self._note(entry)
+    def scan(self, centre_nea_m: Vector) -> None:
+        """Begin a scan about a point, in any phase; its targets must be known."""
+        blocks = self._scanner.begin(centre_nea_m, self.state, self.now_s)
+        self._is_scanning = True
+        self._note({"kind": "scan", "centre_nea_m": list(centre_nea_m), "blocks": blocks})
         self._scan_on()
 
     # --- events and commands
@@ -671,7 +638,7 @@ class Session:
     def _carry_out(self, command: events.Command) -> None:
         match command:
             case events.StartScan(centre_nea_m=centre):
-                self._start_scan(centre)
+                self.scan(centre)
             case events.Plan(request=request, due_s=due_s):
                 self._plan.ask(due_s)
                 self._out.plan = request

@@ -6,7 +6,7 @@ messages and events out.
 
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any, Final, final
 
 from companion.mavlink import parameter_client, plan_client
@@ -15,9 +15,9 @@ from companion.mavlink.autopilots.messages import To, command_long, position
 from companion.mavlink.dialect import EventMessage, Message, wire
 from companion.mavlink.fence import OwnFence
 from companion.mavlink.mission_items import targets_of
-from companion.mavlink.near_scanner import streams_hz
 from companion.mavlink.parameter_client import ParameterClient
 from companion.mavlink.plan_client import MISSION, PlanClient
+from companion.mavlink.poses import ATTITUDE
 from companion.mavlink.rules import Finding, findings_of
 from companion.mission import events
 from companion.mission.decisions import Context
@@ -49,15 +49,17 @@ class StreamRequests:
 
     def __init__(self, mission: Mission, system_id: int, autopilot: Autopilot) -> None:
         self._system_id, self._once = system_id, autopilot.requested_once
-        self._wanted_hz = {
-            _POSITION: mission.position_rate_hz,
-            **autopilot.streams_hz,
-            **streams_hz(mission),
-        }
-        self._quiet = autopilot.intermittent | {wire.MAVLINK_MSG_ID_DISTANCE_SENSOR}
+        self._wanted_hz = {_POSITION: mission.position_rate_hz, **autopilot.streams_hz}
+        self._quiet = autopilot.intermittent
         self.begun = False
         """Whether they have been requested."""
         self.forget()
+
+    def add(self, streams_hz: Mapping[int, float]) -> None:
+        """Those of a sensor, which may well have nothing to say; but for attitudes."""
+        self._quiet |= streams_hz.keys() - {ATTITUDE}
+        for number, rate_hz in streams_hz.items():
+            self._wanted_hz[number] = max(rate_hz, self._wanted_hz.get(number, 0.0))
 
     def forget(self) -> None:
         """The autopilot has rebooted: all requests are void."""
@@ -132,6 +134,8 @@ class AutopilotClient:
         bytewise = autopilot.firmware.is_bytewise
         self.parameters = ParameterClient(system_id, wanted, bytewise=bytewise)
         self.plans = PlanClient(system_id)
+        self._reads = dict.fromkeys(parameter_client.MESSAGES, self.parameters.on_message)
+        self._reads |= dict.fromkeys(plan_client.MESSAGES, self.plans.on_message)
         self.is_news = True
         """Whether something was read since the parameters and lists were last looked at."""
         self.findings: list[Finding] = []
@@ -188,13 +192,10 @@ class AutopilotClient:
     def on_message(self, message: Message, now_s: float) -> list[Message]:
         """Handle a message of the autopilot; returns the replies."""
         self.count(number := message.get_msgId(), now_s)
-        if number in parameter_client.MESSAGES:
-            self.is_news = True
-            return self.parameters.on_message(message, now_s)
-        if number in plan_client.MESSAGES:
-            self.is_news = True
-            return self.plans.on_message(message, now_s)
-        return []
+        if (read := self._reads.get(number)) is None:
+            return []
+        self.is_news = True
+        return read(message, now_s)
 
     def count(self, number: int, now_s: float) -> None:
         """It has sent a message of this kind."""

@@ -328,10 +328,8 @@ class OwnFence:
     def rebooted(self) -> None:
         """The autopilot has rebooted: what is read again is held against the mission again."""
         self._reading, self._made_of = 0, None
-        if self._last_event is not None and self._last_event.zones:
-            self.notes.append(
-                f"fence: read again, {len(self._last_event.zones)} zones stay in force"
-            )
+        if (before := self._last_event) is not None and before.zones:
+            self.notes.append(f"fence: read again, {len(before.zones)} zones stay in force")
 
     def reading(self, now_s: float) -> list[FenceReading]:
         """Whether one that has changed is being read, and drawn, by now."""

@@ -1,4 +1,4 @@
-"""What lidars and the like say of near things, as sweeps.
+"""What lidars and the like say of near things, as sweeps, and the map of it.
 
 Measured on real autopilots (docs/lab/proximity.md), whose traps decide what is believed here:
 the silence of a lidar behind an autopilot means that nothing is in reach, or that it is dead; "max"
@@ -7,7 +7,7 @@ does not mean empty; a value is repeated for up to 1.75 s; what we send comes ba
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Final, NamedTuple, final
 
 import numpy as np
@@ -15,19 +15,21 @@ import numpy as np
 from companion.geodesy import FloatArray
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.poses import Pose, Poses
-from companion.world.near_map import Kind, NearSensor, Sight, Sweep
+from companion.mavlink.preflight import Check, PreflightInputs, check, remark, who_is_heard
+from companion.mission.events import NearSeen, ScanDone, Vector
+from companion.mission.mission import Mission
+from companion.mission.state import Reason, State
+from companion.world.known_map import KnownMap, Window
+from companion.world.near_map import NearMap, NearSensor, Sight, Sweep, top_amsl_m
 
 _BODY: Final = (wire.MAV_FRAME_BODY_FRD, wire.MAV_FRAME_BODY_NED)
 _NORTH: Final = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_LOCAL_NED)
 _UNKNOWN_CM: Final = 65_535
 _SECTORS: Final = 8
-HEALTH: Final = wire.MAVLINK_MSG_ID_SYS_STATUS
-SECTORS: Final = wire.MAVLINK_MSG_ID_DISTANCE_SENSOR
-MESSAGES: Final[dict[Kind, int]] = {
-    "obstacle_distance": wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE,
-    "distance_sensor": SECTORS,
-}
-"""What each kind of sensor sends."""
+_HEALTH: Final = wire.MAVLINK_MSG_ID_SYS_STATUS
+_SECTOR: Final = wire.MAVLINK_MSG_ID_DISTANCE_SENSOR
+_TURN: Final = wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE
+_RATE_HZ: Final = 20.0
 _SECTOR_RAD: Final = math.tau / _SECTORS
 _HORIZONTAL: Final = range(_SECTORS)  # orientations of DISTANCE_SENSOR, clockwise from the nose
 _FIRST_SECTOR_ID: Final = 10  # of ArduPilot's proximity: less are rangefinders, of one beam each
@@ -40,6 +42,7 @@ _SET_MOST = 5000  # messages
 _ABOVE_GROUND = 0.8  # of the height: a beam that has come down farther may meet the ground
 _HEALTH_S = 2.5  # between two SYS_STATUS, and one of them lost
 _EVEN = 1.5  # times the least time between two sets: more, and one is missing (4 % in flights)
+_RANGE_ROUNDED_M = 0.0101  # autopilots cut limits off to whole centimetres (proximity.md 2)
 _WHOLE_S = 2.5  # in it HEARTBEAT and SYS_STATUS come twice: one fewer sector fits beside them
 
 
@@ -78,6 +81,16 @@ class NearSensing:
     ) -> None:
         """ground_amsl_m: how high the ground is at a place, north and east, where that is known."""
         self._sensor, self._poses, self._ground_amsl_m = sensor, poses, ground_amsl_m
+        who, at = sensor.component_id, AUTOPILOT_COMPONENT
+        self.reads, self.streams_hz = poses.reads.copy(), poses.streams_hz.copy()
+        match sensor.kind:
+            case "obstacle_distance":
+                self.reads[who, _TURN] = self.on_obstacle_distance
+            case "distance_sensor":
+                self.reads[who, _SECTOR] = self.on_distance_sensor
+                self.reads[at, _HEALTH] = self.on_health
+                if who == at:
+                    self.streams_hz[_SECTOR] = _RATE_HZ
         self._looks: deque[_Look] = deque(maxlen=20)
         self._set: list[Message] = []
         """Messages of one stamp,"""
@@ -131,18 +144,6 @@ class NearSensing:
         return result
 
     # --- messages
-
-    def on_message(self, message: Message, now_s: float) -> None:
-        """A message of its kind, of its component; or SYS_STATUS of the autopilot."""
-        number = message.get_msgId()
-        if number == HEALTH and self._sensor.kind == "distance_sensor":
-            self.on_health(message, now_s)
-        elif number != MESSAGES[self._sensor.kind]:
-            return
-        elif number == SECTORS:
-            self.on_distance_sensor(message, now_s)
-        else:
-            self.on_obstacle_distance(message, now_s)
 
     def on_obstacle_distance(self, message: Message, now_s: float) -> None:
         """OBSTACLE_DISTANCE of the sensor's component, at vehicle time now_s."""
@@ -316,3 +317,97 @@ def _sweep(look: _Look, pose: Pose, sensor: NearSensor, height_m: float) -> Swee
         + sensor.latency_error_s * pose.yaw_rate_rad_s
         + float(bent.max(initial=0.0)),
     )
+
+
+# --- the map of all that it has seen
+
+
+@final
+class NearScanner:
+    """The scanner of a mission that looks about with a lidar: one sensor, and its map.
+
+    Its sweeps come by themselves.  What it has seen becomes part of the known map when the mission
+    asks for a scan; in between, the mission is told of every sweep, as something may be in its way.
+    """
+
+    def __init__(self, mission: Mission, poses: Poses) -> None:
+        """Its map says where the cells are, and as a guess how high the ground is proven to be."""
+        sensor, blank = mission.near, mission.known
+        assert sensor is not None
+        assert blank is not None
+        assert blank.guess_m is not None
+        self._sensor, self.sensing = sensor, NearSensing(sensor, poses, self._ground_at_m)
+        self.reads, self.streams_hz = self.sensing.reads, self.sensing.streams_hz
+        free_for_s = sensor.free_for_s(mission.task.limits.navigation_error_m)
+        self._near = NearMap(blank.bare(), free_for_s)
+        self._known, self._ground_m = blank, blank.guess_m
+        limits, settings = mission.task.limits, mission.task.settings
+        self._top_m = top_amsl_m(limits.ceiling_amsl_m, settings.scan_range_m)
+        self._scan_time_s = settings.scan_time_s
+        self._began_s = self._swept_s = -math.inf
+        self._scanned: Window | None = None
+        """What the last scan has told."""
+        self._before: KnownMap | None = None
+        """The map of the mission before it."""
+        self._sight = Sight.NEVER_HEARD
+
+    def _ground_at_m(self, north_m: float, east_m: float) -> float:
+        row, column = self._known.cell_of(north_m, east_m)
+        rows, columns = self._ground_m.shape
+        return float(self._ground_m[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)])
+
+    # --- what is heard
+
+    def seen(self, now_s: float, _known: KnownMap | None = None) -> NearSeen | None:
+        """What is new: sweeps, or what the silence means; None: nothing."""
+        sweeps, sight = self.sensing.sweeps(), self.sensing.sight(now_s)
+        for sweep in sweeps:
+            self._near.add(sweep)
+            self._swept_s = now_s
+        if not sweeps and sight is self._sight:
+            return None
+        self._sight = sight
+        _, sees_m = self.sensing.limits_m
+        return NearSeen(time_s=now_s, sight=sight, near=self._near, sees_m=sees_m)
+
+    def checks(self, session: PreflightInputs) -> Iterator[Check]:
+        """Whether it sees, and as far as the mission says."""
+        sensor, sight = self._sensor, session.state.vehicle.sight
+        what = f"{sensor.kind.upper()} of component {sensor.component_id}: {sight.value}"
+        what += who_is_heard(session) if sight.is_blind else ""
+        yield check("sensor", not sight.is_blind, what, Reason.SENSOR_SILENT.remedy)
+        (least_m, most_m), range_m = self.sensing.limits_m, sensor.range_m
+        if math.isinf(most_m):
+            what = f"it has not told how far it sees: R = {range_m:g} m is believed"
+            yield remark("sensor range", what, "Show it something within its reach.")
+            return
+        what = f"it sees {most_m:g} m, and planner.scan_range_m is {range_m:g} m"
+        remedy = f"Set planner.scan_range_m to {most_m:g} or less, or use one that sees farther."
+        yield check("sensor range", most_m >= range_m - _RANGE_ROUNDED_M, what, remedy)
+        if least_m > sensor.blind_m + _RANGE_ROUNDED_M:
+            what = f"it sees nothing nearer than {least_m:g} m, and scanner.blind_m is less"
+            yield remark("sensor range", what, f"Raise scanner.blind_m to {least_m:g}.")
+
+    # --- scans
+
+    def begin(self, _centre_nea_m: Vector, state: State, now_s: float) -> int:
+        """A scan: the next sweep ends it, as the one block that is asked for."""
+        if self._scanned is not None and state.flight.known is self._before:
+            self._near.tell_again(self._scanned)  # nobody has taken it
+        self._before, self._scanned = state.flight.known, None
+        self._began_s = now_s
+        return 1
+
+    def go_on(self, now_s: float, _here_nea_m: Vector | None = None) -> ScanDone | None:
+        """The scan, once it is over: with the next sweep, or without any in time.
+
+        A sensor that is well and silent has answered: what it saw before is all that there is.
+        """
+        self._near.expire(now_s)
+        swept = self._swept_s > self._began_s
+        if not (swept or now_s - self._began_s >= self._scan_time_s):
+            return None
+        answered = swept or not self._sight.is_blind
+        self._scanned = self._near.changed
+        scan = self._near.scan(self._ground_m, self._top_m)
+        return ScanDone(time_s=now_s, scan=scan, asked=1, answered=int(answered))

@@ -2,13 +2,17 @@
 
 import bisect
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import final
+from typing import Final, final
 
 from companion.geodesy import LocalFrame, wrap_rad
-from companion.mavlink.dialect import Message
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mission.events import Vector
 
+Reads = dict[tuple[int, int], Callable[[Message, float], None]]
+"""Component and kind of a message -> what reads it, at vehicle time."""
+ATTITUDE: Final = wire.MAVLINK_MSG_ID_ATTITUDE
 _KEPT_S = 3.0
 _GAP_S = 0.3  # between two positions or attitudes of which a pose is made
 
@@ -33,11 +37,17 @@ class Pose:
 
 @final
 class Poses:
-    """The last few seconds of a vehicle's poses, to be asked for at the time of a measurement."""
+    """The last few seconds of a vehicle's poses, to be asked for at the time of a measurement.
+
+    What needs them reads their messages, and asks for their streams, beside its own.
+    """
+
+    streams_hz: Final = {ATTITUDE: 20.0}
 
     def __init__(self, frame: LocalFrame) -> None:
         self._frame = frame
         self._positions, self._attitudes = _Track(angles=False), _Track(angles=True)
+        self.reads: Reads = {(AUTOPILOT_COMPONENT, ATTITUDE): self.on_attitude}
 
     def on_position(self, time_s: float, position_nea_m: Vector) -> None:
         """A position in the frame."""

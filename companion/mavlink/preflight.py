@@ -7,16 +7,14 @@ passed (`Preflight`).
 import enum
 import math
 from collections.abc import Iterator
-from typing import NamedTuple, Protocol, final
+from typing import TYPE_CHECKING, NamedTuple, Protocol, final
 
 from companion.mavlink import fence
 from companion.mavlink.autopilot_client import AutopilotClient
 from companion.mavlink.dialect import COMPANION_COMPONENT
 from companion.mavlink.frames import Receiver
 from companion.mavlink.link import TO_COMPONENT_1, VehicleSelector, ids_in_words
-from companion.mavlink.near_scanner import NearScanner
 from companion.mavlink.plan_client import FENCE
-from companion.mavlink.rangefinder import Rangefinder
 from companion.mavlink.signing import Signing
 from companion.mission import ground, stopped
 from companion.mission.battery import battery_lasts
@@ -25,17 +23,13 @@ from companion.mission.events import Item, Landed, Prepared, ScanDone, Vector
 from companion.mission.health import distrust
 from companion.mission.mission import Mission
 from companion.mission.state import Phase, Reason, State
-from companion.world.near_map import NearSensor
+
+if TYPE_CHECKING:  # they say of their checks what stands here
+    from companion.mavlink.sensors import Sensor
 
 _MAX_LOOKS = 3
-_PATIENCE_S = 5.0  # for rates and delays that have not come yet
+PATIENCE_S = 5.0  # for rates and delays that have not come yet
 _CHECK_S = 1.0  # between two looks at a vehicle that waits
-_NO_RADAR = (
-    "Start it, or correct vehicle.scanner_component_id. Where there is none, say so in a "
-    "mission.toml, which may name a .plan: vehicle.scanner = false, and [terrain] with an "
-    "elevation file, or with the highest ground there is, highest_amsl_m (docs/files.md)."
-)
-_RANGE_ROUNDED_M = 0.0101  # autopilots cut limits off to whole centimetres (proximity.md 2)
 _LOOK_AGAIN_S = 60.0
 """Between two scans of a vehicle that waits: a radar that is off is told before the flight."""
 
@@ -69,8 +63,7 @@ class PreflightInputs(Protocol):
     selector: VehicleSelector
     receiver: Receiver
     signing: Signing | None
-    near: NearScanner | None
-    rangefinder: Rangefinder | None
+    sensors: "tuple[Sensor, ...]"
     last_scan: ScanDone | None
 
     @property
@@ -133,7 +126,7 @@ class Preflight:
         if waits or not (ready or prepares):
             return None
         self._checked_s = now_s
-        refused = (check for check in checks_of(heard) if check.status is CheckStatus.REFUSED)
+        refused = (each for each in checks_of(heard) if each.status is CheckStatus.REFUSED)
         if (first := next(refused, None)) is None:
             self._failing_s = math.inf
             return None if ready else Prepared(time_s=now_s, item=Item.CHECKS)
@@ -142,7 +135,7 @@ class Preflight:
             self._looked = False
             return None
         self._failing_s = min(self._failing_s, now_s)
-        if not at_once and now_s - self._failing_s < _PATIENCE_S:
+        if not at_once and now_s - self._failing_s < PATIENCE_S:
             return None
         refusal = f"{first.name}: {first.what}"
         again, self._last_refusal = refusal == self._last_refusal and not ready, refusal
@@ -173,25 +166,26 @@ def checks_of(session: PreflightInputs) -> list[Check]:
     """All checks, in the order of a manual checklist."""
     vehicle = session.vehicle
     if vehicle is None:
-        return [_check("vehicle", False, *not_heard(session))]
+        return [check("vehicle", False, *not_heard(session))]
     return [
         *_link(session, vehicle),
         *_parameters(vehicle),
         *_fence(session, vehicle),
         *_position(session),
         _battery(session),
-        *_scanner(session),
-        *_rangefinder(session),
+        *(each for sensor in session.sensors for each in sensor.checks(session)),
         *_signing(session),
     ]
 
 
-def _check(name: str, passed: bool, what: str, remedy: str = "") -> Check:
+def check(name: str, passed: bool, what: str, remedy: str = "") -> Check:
+    """One that the vehicle passes, or that refuses the flight."""
     status = CheckStatus.PASSED if passed else CheckStatus.REFUSED
     return Check(name, status, what, "" if passed else remedy)
 
 
-def _remark(name: str, what: str, remedy: str = "") -> Check:
+def remark(name: str, what: str, remedy: str = "") -> Check:
+    """One that refuses nothing."""
     return Check(name, CheckStatus.NOTED, what, remedy)
 
 
@@ -231,16 +225,16 @@ def _link(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check]
     what = f"{vehicle.autopilot.name}, system {vehicle.system_id}"
     if others := ", ".join(map(str, sorted(session.selector.others))):
         what += f"; also heard: {others}"
-    yield _check("vehicle", True, what)
+    yield check("vehicle", True, what)
     if state.reason is Reason.LINK_LOST:
-        yield _check("link", False, Reason.LINK_LOST.text, Reason.LINK_LOST.remedy)
+        yield check("link", False, Reason.LINK_LOST.text, Reason.LINK_LOST.remedy)
     missing = vehicle.streams.missing
     what = f"{', '.join(missing)} asked for and not sent" if missing else "all that was asked for"
-    yield _check("messages", not missing, what, "Give the link more bandwidth, or check its rates.")
+    yield check("messages", not missing, what, "Give the link more bandwidth, or check its rates.")
     is_doubled = state.duplicate_id or state.is_duplicate_suspected
     our_ids = f"{vehicle.system_id}/{COMPANION_COMPONENT}"
     what = f"{our_ids}: {Reason.NOT_ALONE.text}" if is_doubled else f"nobody else is {our_ids}"
-    yield _check("companion", not is_doubled, what, Reason.NOT_ALONE.remedy)
+    yield check("companion", not is_doubled, what, Reason.NOT_ALONE.remedy)
 
 
 # --- what the autopilot holds
@@ -248,49 +242,47 @@ def _link(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check]
 
 def _parameters(vehicle: AutopilotClient) -> Iterator[Check]:
     if not vehicle.parameters.is_done:
-        yield _check("parameters", False, _not_read(vehicle.parameters.waiting), "Check the link.")
+        yield check("parameters", False, _not_read(vehicle.parameters.waiting), "Check the link.")
         return
     for finding in vehicle.findings:
         name = f"{finding.name} = " + ("missing" if finding.value is None else f"{finding.value:g}")
         if finding.set_to is not None:
-            yield _remark(name, f"{finding.rule}; will be set to {finding.set_to:g}")
+            yield remark(name, f"{finding.rule}; will be set to {finding.set_to:g}")
         else:
             remedy = f"{finding.remedy}." if finding.remedy else ""
-            yield _check(name, False, finding.rule, remedy)
+            yield check(name, False, finding.rule, remedy)
     if not vehicle.findings:
         count = len(vehicle.parameters.values)
-        yield _check("parameters", True, f"{count} read, none against the mission")
+        yield check("parameters", True, f"{count} read, none against the mission")
 
 
 def _fence(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check]:
     state, mission = session.state, session.mission
     if Item.PLANS not in state.prepared and not vehicle.plans.is_done:
-        yield _check("fence", False, _not_read(vehicle.plans.waiting), "Check the link.")
+        yield check("fence", False, _not_read(vehicle.plans.waiting), "Check the link.")
         return
     if not mission.fence_from_vehicle:
-        yield _remark("fence", "the vehicle's own fence is left out, as the mission says")
+        yield remark("fence", "the vehicle's own fence is left out, as the mission says")
     elif items := vehicle.plans.plans[FENCE].changing:
         what = f"the fence has changed: reading {items:,} items"
-        yield _check("fence", False, what, "Wait until it is read.")
+        yield check("fence", False, what, "Wait until it is read.")
     elif (drawn := vehicle.own_fence.fence) is not None:
         against = fence.conflicts(drawn, mission.task, state.targets_ne_m)
-        yield from (_check("fence", False, *_parted(line)) for line in against)
-        yield from (_remark("fence", line) for line in drawn.notes)
+        yield from (check("fence", False, *_parted(line)) for line in against)
+        yield from (remark("fence", line) for line in drawn.notes)
         if drawn.misread:
-            yield _remark("fence", *_parted(drawn.misread))
+            yield remark("fence", *_parted(drawn.misread))
         if not against:
-            yield _check(
-                "fence", True, f"{len(drawn.zones)} zones of the vehicle's own are kept to"
-            )
+            yield check("fence", True, f"{len(drawn.zones)} zones of the vehicle's own are kept to")
     elif vehicle.parameters.is_done:
         is_known = state.vehicle.home_nea_m is not None
         what = "it is being read" if is_known else "it is drawn about home, which is not known"
-        yield _check("fence", False, what, "Wait for it.")
+        yield check("fence", False, what, "Wait for it.")
     targets = len(state.targets_ne_m)
     what = f"{targets} target{'' if targets == 1 else 's'}"
-    yield _check("targets", targets > 0, what, "Upload a mission with waypoints.")
+    yield check("targets", targets > 0, what, "Upload a mission with waypoints.")
     if landing := stopped.landing_words(state, session.context):
-        yield _remark("landing", landing)
+        yield remark("landing", landing)
 
 
 def _not_read(waiting: tuple[str, ...]) -> str:
@@ -310,95 +302,50 @@ def _position(session: PreflightInputs) -> Iterator[Check]:
     state, vehicle = session.state, session.state.vehicle
     on_ground, position = vehicle.landed is Landed.ON_GROUND, vehicle.position_nea_m
     if vehicle.armed and on_ground and not state.armed_by_us:
-        yield _check("armed", False, Reason.ARMED_ALREADY.text, Reason.ARMED_ALREADY.remedy)
+        yield check("armed", False, Reason.ARMED_ALREADY.text, Reason.ARMED_ALREADY.remedy)
     if distrusted := distrust(vehicle, state.now_s, state.task.limits):
         is_early = distrusted is Reason.NO_FIX and vehicle.fix_at_s < 0.0
         what = "no GPS fix was heard yet" if is_early else distrusted.text
-        yield _check("position", False, what, distrusted.remedy)
+        yield check("position", False, what, distrusted.remedy)
     elif position is not None:
         error = "" if vehicle.error_m is None else f", to {vehicle.error_m:.1f} m"
         north_m, east_m = (round(value) + 0 for value in position[:2])
-        yield _check("position", True, f"{north_m} m north, {east_m} m east{error}")
+        yield check("position", True, f"{north_m} m north, {east_m} m east{error}")
     if position is None:
         return
     if vehicle.home_nea_m is not None:
         height_m = ground.height_m(state)
         what = f"the climb ends {height_m:.0f} m above home"
-        yield _check("take-off", height_m > 0.0, what, Reason.HOME_TOO_HIGH.remedy)
+        yield check("take-off", height_m > 0.0, what, Reason.HOME_TOO_HIGH.remedy)
     clear = ground.may_take_off(state)
     where = "on the map and clear of zones" if clear else Reason.OUTSIDE.text
-    yield _check("place", clear, where, Reason.OUTSIDE.remedy)
+    yield check("place", clear, where, Reason.OUTSIDE.remedy)
     known = session.mission.known
     if known is not None and known.is_known(*position[:2]):
         above_m = position[2] - float(known.upper_m[known.cell_of(*position[:2])])
         ok = state.airborne or above_m > -(session.mission.task.error_m + known.cell_m)
         side = "above" if above_m >= 0.0 else "below"
         what = f"the vehicle stands {abs(above_m):.0f} m {side} the highest terrain of its cell"
-        yield _check("datum", ok, what, "The terrain's vertical datum differs: see terrain.*.")
+        yield check("datum", ok, what, "The terrain's vertical datum differs: see terrain.*.")
 
 
 def _battery(session: PreflightInputs) -> Check:
     state, mission = session.state, session.mission
     left = state.vehicle.battery
     if left is None:
-        return _remark("battery", "the vehicle does not say what is left")
+        return remark("battery", "the vehicle does not say what is left")
     what = f"{math.floor(100.0 * left + 1e-6)}% left, reserve {100.0 * mission.reserve:g}%"
     if mission.endurance_s is None:
         what += "; battery.endurance_s is not given, so range is not checked"
     lasts = battery_lasts(state, mission)
     what = what if lasts else f"{what}: {Reason.BATTERY_SHORT.text}"
-    return _check("battery", lasts, what, Reason.BATTERY_SHORT.remedy)
+    return check("battery", lasts, what, Reason.BATTERY_SHORT.remedy)
 
 
 # --- sensors
 
 
-def _scanner(session: PreflightInputs) -> Iterator[Check]:
-    scan, mission = session.last_scan, session.mission
-    component = mission.scanner_component_id
-    if mission.near is not None:
-        yield from _near_sensor(session, mission.near)
-    elif component is None:
-        yield _remark("radar", "none: only terrain that is known in advance is flown over")
-    elif not session.state.targets_ne_m or session.state.vehicle.position_nea_m is None:
-        yield _remark("radar", "not asked: where from and where to is not known")
-    elif scan is None or not scan.answered:
-        what = f"the terrain radar, component {component}, did not answer TERRAIN_REQUEST"
-        yield _check("radar", False, what + _heard(session), _NO_RADAR)
-    else:
-        # what is left out stays unknown, and is asked for again in flight
-        yield _check("radar", True, f"{scan.answered} of {scan.asked} blocks answered in time")
-
-
-def _near_sensor(session: PreflightInputs, sensor: NearSensor) -> Iterator[Check]:
-    sight, range_m = session.state.vehicle.sight, session.mission.task.settings.scan_range_m
-    what = f"{sensor.kind.upper()} of component {sensor.component_id}: {sight.value}"
-    what += _heard(session) if sight.is_blind else ""
-    yield _check("sensor", not sight.is_blind, what, Reason.SENSOR_SILENT.remedy)
-    if session.near is None:
-        return
-    least_m, most_m = session.near.sensing.limits_m
-    if math.isinf(most_m):
-        what = f"it has not told how far it sees: R = {range_m:g} m is believed"
-        yield _remark("sensor range", what, "Show it something within its reach.")
-        return
-    what = f"it sees {most_m:g} m, and planner.scan_range_m is {range_m:g} m"
-    remedy = f"Set planner.scan_range_m to {most_m:g} or less, or use a sensor that sees farther."
-    yield _check("sensor range", most_m >= range_m - _RANGE_ROUNDED_M, what, remedy)
-    if least_m > sensor.blind_m + _RANGE_ROUNDED_M:
-        what = f"it sees nothing nearer than {least_m:g} m, and scanner.blind_m is less"
-        yield _remark("sensor range", what, f"Raise scanner.blind_m to {least_m:g}.")
-
-
-def _rangefinder(session: PreflightInputs) -> Iterator[Check]:
-    if session.rangefinder is not None:
-        heard = session.state.now_s - session.rangefinder.heard_s <= _PATIENCE_S
-        what = f"the one that faces down, of component 1: {'' if heard else 'not '}heard"
-        remedy = "Set RNGFND1_TYPE and RNGFND1_ORIENT 25, or leave rangefinder_error_m out."
-        yield _check("rangefinder", heard, what, remedy)
-
-
-def _heard(session: PreflightInputs) -> str:
+def who_is_heard(session: PreflightInputs) -> str:
     """Who is heard at all, where a sensor may only have other ids than the mission says."""
     return f"; heard: {ids_in_words(session.senders)}"
 
@@ -407,7 +354,7 @@ def _signing(session: PreflightInputs) -> Iterator[Check]:
     """A link on which one of the two signs."""
     signed = session.receiver.signed
     if session.signing is not None:
-        yield _check("signing", True, f"{signed} signed frames heard")  # else no vehicle is
+        yield check("signing", True, f"{signed} signed frames heard")  # else no vehicle is
     elif signed:
         what = "the vehicle signs, and no key was given"
-        yield _check("signing", False, what, "Give the key with --signing-key.")
+        yield check("signing", False, what, "Give the key with --signing-key.")

@@ -2,14 +2,17 @@
 
 import math
 from collections import deque
+from collections.abc import Iterator
 from typing import Final, final
 
-from companion.mavlink.dialect import Message, wire
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.poses import Poses
+from companion.mavlink.preflight import PATIENCE_S, Check, PreflightInputs, check
 from companion.mission.events import GroundSeen
+from companion.mission.mission import Mission
 from companion.world.known_map import KnownMap
 
-RATE_HZ: Final = 10.0
+_DISTANCE: Final = wire.MAVLINK_MSG_ID_DISTANCE_SENSOR
 _DOWN: Final = wire.MAV_SENSOR_ROTATION_PITCH_270
 _AGREE = 4  # readings in a row: one, or two, may be wrong
 _KEPT_S = 1.0  # for a reading to find its pose, and to agree with others
@@ -23,11 +26,14 @@ class Rangefinder:
     and what is below min_distance is the vehicle itself (proximity.md 3, 4).
     """
 
-    def __init__(self, poses: Poses, error_m: float) -> None:
-        """error_m: so much higher than the map says the ground may seem."""
+    streams_hz: Final = {**Poses.streams_hz, _DISTANCE: 10.0}
+
+    def __init__(self, mission: Mission, poses: Poses) -> None:
+        assert mission.rangefinder_error_m is not None
+        self._error_m, self._poses = mission.rangefinder_error_m, poses
+        self.reads = poses.reads | {(AUTOPILOT_COMPONENT, _DISTANCE): self.on_message}
         self.heard_s = -math.inf
         """When it last said anything."""
-        self._error_m, self._poses = error_m, poses
         self._readings: deque[tuple[float, float]] = deque(maxlen=_AGREE)
         """Time and distance, until the pose is known."""
         self._above: deque[tuple[float, float]] = deque(maxlen=_AGREE)
@@ -60,6 +66,13 @@ class Rangefinder:
             self._is_told = False
             return GroundSeen(time_s=now_s, above_m=0.0)
         return None
+
+    def checks(self, session: PreflightInputs) -> Iterator[Check]:
+        """Whether it is heard."""
+        heard = session.state.now_s - self.heard_s <= PATIENCE_S
+        what = f"the one that faces down, of component 1: {'' if heard else 'not '}heard"
+        remedy = "Set RNGFND1_TYPE and RNGFND1_ORIENT 25, or leave rangefinder_error_m out."
+        yield check("rangefinder", heard, what, remedy)
 
     def _above_map_m(self, at_s: float, distance_m: float, known: KnownMap) -> float | None:
         """How much higher the foot of the beam is than the map about it; None: not known."""

@@ -106,11 +106,8 @@ def _kept(path: Path) -> StoredTimestamp | None:
     except (OSError, ValueError):
         timestamp = clock_us = -1
     if not (0 <= timestamp <= _LAST and 0 <= clock_us <= 1 << 62):
-        rule, remedy = (
-            "no time stamp and clock can be read",
-            "Delete it if the clock here is right.",
-        )
-        raise _wrong(path, rule, remedy)
+        rule = "no time stamp and clock can be read"
+        raise _wrong(path, rule, "Delete it if the clock here is right.")
     return timestamp, clock_us * 1e-6
 
 

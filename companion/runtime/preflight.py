@@ -44,9 +44,10 @@ def run_preflight(
         is_over = now_s - heard_s > _SILENT_S or now_s - began_s > _DEADLINE_S
         if is_over or state.phase is Phase.DONE:
             return
-        if scanned_s == math.inf and state.vehicle.position_nea_m and state.targets_ne_m:
+        position = state.vehicle.position_nea_m
+        if scanned_s == math.inf and position is not None and state.targets_ne_m:
             scanned_s = now_s
-            session.scan_now()
+            session.scan(position)
         waiting = waiting_for(session)
         if vehicle is not None and not waiting:
             answered_s = min(answered_s, now_s)

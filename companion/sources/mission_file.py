@@ -21,6 +21,7 @@ from companion.errors import InputError
 from companion.geodesy import FloatArray, LocalFrame, wrap_rad
 from companion.mavlink.autopilots import named
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, wire
+from companion.mavlink.sensors import SENSORS
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.optimise.registry import OPTIMISERS
 from companion.path.envelope import COPTER, PLANE
@@ -83,7 +84,7 @@ _ERRORS = ("tracking_error_m", "navigation_error_m", "dead_man_s")
 
 
 class VehicleTable(
-    keys_of(Mission, "autopilot", "system_id", "position_rate_hz", "rangefinder_error_m"),  # type: ignore[misc]
+    keys_of(Mission, "autopilot", "system_id", "position_rate_hz", *SENSORS),  # type: ignore[misc]
     keys_of(Limits, *_SPEEDS, *_ERRORS),  # type: ignore[misc]
 ):
     """What the vehicle can fly, and how it is to be flown."""

@@ -35,6 +35,13 @@ def beam(time_s: float, cm: int = 700, *, source: tuple[int, int] = (1, 1), **fi
     return heard("DISTANCE_SENSOR", source, **{**values, **fields})
 
 
+def tell(sensor: Any, message: Any, now_s: float) -> None:
+    """As the session does: what a sensor does not read it is not told."""
+    read = sensor.reads.get((message.get_srcComponent(), message.get_msgId()))
+    if read is not None:
+        read(message, now_s)
+
+
 def health(*, well: bool) -> Any:
     """SYS_STATUS of an autopilot whose lidar is there and enabled."""
     bit, of = wire.MAV_SYS_STATUS_SENSOR_PROXIMITY, "onboard_control_sensors"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from held import recorded
-from lidars import attitude, health, obstacle_distance
+from lidars import attitude, health, obstacle_distance, tell
 from msgspec.structs import replace as changed
 from numpy.typing import NDArray
 from wires import wire
@@ -17,14 +17,7 @@ from wires import wire
 from companion.config import load_mission
 from companion.geodesy import LocalFrame
 from companion.mavlink.autopilots.messages import position
-from companion.mavlink.near_scanner import (
-    ATTITUDE,
-    OF_AUTOPILOT,
-    NearScanner,
-    messages_of,
-    streams_hz,
-)
-from companion.mavlink.near_sensing import NearSensing
+from companion.mavlink.near_sensing import NearScanner, NearSensing
 from companion.mavlink.poses import Poses
 from companion.mission.state import State
 from companion.world.known_map import Lattice
@@ -57,7 +50,7 @@ class Standing:
         """So many sweeps, and a position after each; what it has seen."""
         told = []
         for _ in range(count):
-            self.scanner.on_message(sweep(self.now_s, **fields), self.now_s)
+            tell(self.scanner, sweep(self.now_s, **fields), self.now_s)
             told.append(self.move_on())
         return told
 
@@ -69,9 +62,9 @@ class Standing:
 
     def scan(self, *, takes: bool = True) -> None:
         """One sweep is enough; takes: the mission puts it on its map."""
-        self.scanner.begun(self.here_nea_m, self.state, self.now_s)
+        self.scanner.begin(self.here_nea_m, self.state, self.now_s)
         self.run()
-        done = self.scanner.done(self.now_s)
+        done = self.scanner.go_on(self.now_s)
         assert done is not None
         assert done.answered == 1
         if takes:
@@ -112,12 +105,12 @@ def test_a_scan_waits_for_a_new_sweep_and_no_longer_than_it_may_and_changes_noth
     it = Standing()
     it.scan()
     before = it.state.flight.known
-    it.scanner.begun(it.here_nea_m, it.state, it.now_s)
+    it.scanner.begin(it.here_nea_m, it.state, it.now_s)
     for wait_s in (0.0, 0.05):
         it.move_on(wait_s)
-        assert it.scanner.done(it.now_s) is None
+        assert it.scanner.go_on(it.now_s) is None
     it.move_on(1.0)
-    done: Any = it.scanner.done(it.now_s)
+    done: Any = it.scanner.go_on(it.now_s)
     assert (done.asked, done.answered) == (1, 0)
     np.testing.assert_array_equal(before.with_scan(done.scan).upper_m, before.upper_m)
 
@@ -128,11 +121,11 @@ def test_a_healthy_sensor_of_the_autopilot_that_sees_nothing_has_answered() -> N
     of = replace(MISSION, near=replace(MISSION.near, kind="distance_sensor", component_id=1))
     scanner = NearScanner(of, Poses(of.frame))
     for now_s, well, sight in ((100.0, 1, Sight.NOTHING_THERE), (105.0, 0, Sight.NEVER_HEARD)):
-        scanner.on_message(health(well=bool(well)), now_s)
+        tell(scanner, health(well=bool(well)), now_s)
         seen: Any = scanner.seen(now_s)
         assert seen.sight is sight
-        scanner.begun((20.0, 20.0, 405.0), State.of(of, MISSION.known), now_s)
-        done: Any = scanner.done(now_s + 1.0)
+        scanner.begin((20.0, 20.0, 405.0), State.of(of, MISSION.known), now_s)
+        done: Any = scanner.go_on(now_s + 1.0)
         assert done.answered == well
 
 
@@ -152,9 +145,10 @@ def test_of_the_autopilot_its_attitude_is_asked_for_and_its_own_sectors() -> Non
         ("distance_sensor", 1, 132),
     ):
         of: Any = replace(MISSION.near, kind=kind, component_id=component)
-        assert messages_of(replace(MISSION, near=of)) == {30, message}
-        asked = set(streams_hz(replace(MISSION, near=of)))
-        assert asked == ({30, 132} if component == 1 else {30})
+        scanner = NearScanner(replace(MISSION, near=of), Poses(MISSION.frame))
+        health = {(1, 1)} if message == 132 else set()
+        assert scanner.reads.keys() == {(1, 30), (component, message), *health}
+        assert scanner.streams_hz == {30: 20.0} | ({132: 20.0} if component == 1 else {})
 
 
 # --- what a lidar behind a real autopilot saw among posts of known place (recordings/README.md)
@@ -167,17 +161,14 @@ LATTICE = Lattice(cell_m=0.25, north_min_m=-150.0, east_min_m=-150.0, shape=(120
 
 def seen(until_s: float) -> Iterator[tuple[float, NDArray[np.float64], NearSensing]]:
     """Vehicle time, place and what the lidar says, at each position."""
-    read = {wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, ATTITUDE, *OF_AUTOPILOT}
-    poses, now_s = Poses(HOME), 0.0
+    poses, now_s, where = Poses(HOME), 0.0, wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
     sensing = NearSensing(LIDAR, poses)
+    read = {where, *(number for _, number in sensing.reads)}
     for _, message in recorded("arducopter-lidar.tlog", frozenset(wire.mavlink_map) - read):
         if (message.get_srcSystem(), message.get_srcComponent()) != (1, 1):
             continue
-        if message.get_msgId() == ATTITUDE:
-            poses.on_attitude(message)
-        elif message.get_msgId() in OF_AUTOPILOT:
-            sensing.on_message(message, now_s)
-        elif (told := position(message, 0.0, HOME)) is not None:
+        tell(sensing, message, now_s)
+        if message.get_msgId() == where and (told := position(message, 0.0, HOME)) is not None:
             now_s = told.time_s
             if now_s >= until_s:
                 return

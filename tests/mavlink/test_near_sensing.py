@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from lidars import attitude, beam, health
+from lidars import attitude, beam, health, tell
 from wires import FRAME, wire
 
 from companion.mavlink.near_sensing import NearSensing, Sight
@@ -195,7 +195,7 @@ def flown(
         poses.on_attitude(attitude(now_s))
         for message in told(k):
             message.time_boot_ms = round(1e3 * now_s)
-            sensing.on_message(message, now_s)
+            tell(sensing, message, now_s)
         sweeps += sensing.sweeps()
     return sensing, sweeps
 
@@ -232,8 +232,9 @@ def test_what_silence_about_a_sector_means(
     expected = [float(each) for each in expected_m.split()]
     for component, clear in ((1, expected), (158, [7.0 * (m == 7.0) for m in expected])):
         sensor = replace(BEHIND_AUTOPILOT, component_id=component)
-        beams = lambda k: [  # noqa: E731
-            beam(0.0, orientation=sector) for sector in (told_then if k in but else sectors)
+        beams = lambda k, who=component: [  # noqa: E731
+            beam(0.0, orientation=sector, source=(1, who))
+            for sector in (told_then if k in but else sectors)
         ]
         assert flown(sensor, seconds, beams)[1][-1].clear_m == pytest.approx(clear)
 

@@ -1,15 +1,15 @@
 """Each check before a flight made to pass, to note and to refuse, on a simulated vehicle."""
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from copy import copy
-from types import MappingProxyType, SimpleNamespace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import pytest
 from held import FOUR, MISSIONS, Held, level, polygon, stored
+from lidars import obstacle_distance, tell
 from random_programs import message_numbers
 from renewed import replace
 from scripted_vehicle import straight_plan
@@ -18,13 +18,14 @@ from wires import heard
 from companion.config import load_mission
 from companion.mavlink.dialect import codec, wire
 from companion.mavlink.frames import number_of
+from companion.mavlink.poses import Poses
 from companion.mavlink.preflight import CheckStatus, checks_of, waiting_for
+from companion.mavlink.sensors import others_of, scanner_of
 from companion.mavlink.signing import Signing
 from companion.mission.events import Outcome
 from companion.mission.state import Phase, Reason
 from companion.session import Session
 from companion.world.known_map import empty_map
-from companion.world.near_map import NearSensor
 from vehicle_sim.plans import PlanItem as Stored
 
 COPTER, _, PX4, _ = MISSIONS
@@ -166,7 +167,6 @@ def test_a_vehicle_that_falls_silent_may_not_fly() -> None:
 
 
 HIGH = (0.0, 0.0, 700.0)
-NEAR = NearSensor(kind="obstacle_distance", component_id=196, range_m=16.0)
 UNKNOWN = empty_map(50.0, (-1000.0, 1000.0), (-1000.0, 1000.0))
 SEEN = replace(UNKNOWN, seen=np.ones(UNKNOWN.seen.shape, dtype=bool))
 LEVEL, HIGHER = (
@@ -177,10 +177,19 @@ NO_HOME = {"state.vehicle.home_nea_m": None}
 NO_FENCE = {"vehicle.own_fence.fence": None}
 
 
-def sees(least_m: float, most_m: float) -> dict[str, Any]:
-    """A lidar with these limits where R is 16 m."""
-    scanner = SimpleNamespace(sensing=SimpleNamespace(limits_m=(least_m, most_m)))
-    return {"mission.near": NEAR, "mission.task.settings.scan_range_m": 16.0, "near": scanner}
+def unheard(name: str = PX4, **changes: Any) -> dict[str, Any]:
+    """The sensors of a mission."""
+    mission = replace(load_mission(name), **changes)
+    poses = Poses(mission.frame)
+    return {"sensors": (scanner_of(mission, poses), *others_of(mission, poses))}
+
+
+def sees(least_cm: int, most_cm: int) -> dict[str, Any]:
+    """A lidar that has told these limits where R is 16 m."""
+    changes = unheard("forest")
+    limits = {"min_distance": least_cm, "reach_cm": most_cm}
+    tell(changes["sensors"][0], obstacle_distance(1.0, **limits), 1.0)
+    return changes
 
 
 @pytest.mark.parametrize(
@@ -200,13 +209,13 @@ def sees(least_m: float, most_m: float) -> dict[str, Any]:
         ({"mission.endurance_s": 60.0}, "battery", "refused", ""),
         ({"mission.known": HIGHER}, "datum", "refused", ""),
         ({"mission.known": LEVEL}, "datum", "ok", ""),
-        ({"mission.near": NEAR}, "sensor", "refused", "component 191 of system 1"),
-        (sees(0.0, math.inf), "sensor range", "note", "R = 16 m is believed"),
-        (sees(0.2, 15.99), "sensor range", "ok", ""),  # 1599 cm: a driver has cut it off
-        (sees(0.2, 12.0), "sensor range", "refused", "Set planner.scan_range_m to 12 or less"),
-        (sees(0.7, 40.0), "sensor range", "note", "Raise scanner.blind_m to 0.7"),
-        ({"mission.scanner_component_id": 77}, "radar", "refused", "component 101 of system 2."),
-        ({"rangefinder.heard_s": -math.inf}, "rangefinder", "refused", "component 1: not heard"),
+        (unheard("forest"), "sensor", "refused", "component 191 of system 1"),
+        (unheard("forest"), "sensor range", "note", "R = 16 m is believed"),
+        (sees(20, 1599), "sensor range", "ok", ""),  # a driver has cut it off
+        (sees(20, 1200), "sensor range", "refused", "Set planner.scan_range_m to 12 or less"),
+        (sees(70, 4000), "sensor range", "note", "Raise scanner.blind_m to 0.7"),
+        (unheard(scanner_component_id=77), "radar", "refused", "component 101 of system 2."),
+        (unheard(rangefinder_error_m=1.0), "rangefinder", "refused", "component 1: not heard"),
         ({"state.duplicate_id": True}, "companion", "refused", f"1/195: {Reason.NOT_ALONE.text}"),
         (NO_FENCE, "fence", "refused", "it is being read. Wait for it."),
         (NO_FENCE | NO_HOME, "fence", "refused", "about home, which is not known. Wait for it."),
@@ -226,7 +235,7 @@ def changed(whole: Any, path: str, value: Any) -> Any:
     """A copy with another field, however deep."""
     name, _, rest = path.partition(".")
     if rest:
-        value = changed(getattr(whole, name) or SimpleNamespace(), rest, value)
+        value = changed(getattr(whole, name), rest, value)
     try:
         return replace(whole, **{name: value})
     except TypeError:  # no value: it is changed in place

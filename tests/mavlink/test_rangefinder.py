@@ -1,6 +1,7 @@
 """The downward rangefinder against a known map."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,11 +12,13 @@ from lidars import attitude, beam
 from scipy.spatial.transform import Rotation
 from wires import FRAME
 
+from companion.config import load_mission
 from companion.mavlink.poses import Poses
 from companion.mavlink.rangefinder import Rangefinder
 from companion.world.known_map import KnownMap
 
 MAP_M, ERROR_M, ALTITUDE_M = 400.0, 1.0, 408.0
+MISSION = replace(load_mission("valley"), rangefinder_error_m=ERROR_M)
 
 
 def above_m(
@@ -31,7 +34,7 @@ def above_m(
         cell_m=2.0, north_min_m=-40.0, east_min_m=-40.0, upper_m=upper, seen=np.isfinite(upper)
     )
     poses, found = Poses(FRAME), []
-    finder, now_s = Rangefinder(poses, ERROR_M), 50.0
+    finder, now_s = Rangefinder(MISSION, poses), 50.0
     for distance_m in distances_m:
         poses.on_attitude(attitude(now_s, *lean))
         values = {"orientation": 25, "max_distance": 4000, "id": 0, **fields}

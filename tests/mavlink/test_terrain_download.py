@@ -17,7 +17,8 @@ from hypothesis import strategies as st
 from wires import FRAME, GEOD, heard
 
 from companion.config import load_mission
-from companion.mavlink.terrain_download import TerrainDownload, areas
+from companion.mavlink.terrain_download import TerrainRadar, areas
+from companion.mission.events import ScanDone
 from companion.mission.state import State
 from companion.world.known_map import NOT_SEEN, KnownMap, Scan, empty_map
 
@@ -72,12 +73,34 @@ def answers(request: Any, heights: tuple[int, ...] = (500,) * 16) -> list[Any]:
 
 def download(
     centre: tuple[float, ...] = CORNER, range_m: float = 2000.0, known: KnownMap = MAP
-) -> TerrainDownload:
+) -> TerrainRadar:
     settings = replace(MISSION.task.settings, scan_range_m=range_m, scan_time_s=DEADLINE_S)
     to_the_north = ((centre[0] + 1e5, centre[1]),)
     task = replace(MISSION.task, settings=settings)
     mission = replace(MISSION, task=task, targets_ne_m=to_the_north)
-    return TerrainDownload(mission, (*centre[:2], 0.0), State.of(mission, known), now_s=0.0)
+    radar = TerrainRadar(mission)
+    radar.begin((*centre[:2], 0.0), State.of(mission, known), 0.0)
+    return radar
+
+
+def asks(radar: Any, now_s: float, place: Any = HERE) -> Any:
+    """What it asks for now; of a scan that is over, nothing, and it is not asked again."""
+    if isinstance(told := getattr(radar, "told", None), ScanDone):
+        return None
+    radar.told = told = radar.go_on(now_s, place)
+    return None if isinstance(told, ScanDone) else told
+
+
+def is_over(radar: Any, now_s: float) -> bool:
+    asks(radar, now_s)
+    return isinstance(radar.told, ScanDone)
+
+
+def scan_of(radar: Any) -> Scan:
+    """What it says of it in the end."""
+    assert is_over(radar, DEADLINE_S)
+    scan: Scan = radar.told.scan
+    return scan
 
 
 def on_map(scan: Scan) -> Any:
@@ -98,29 +121,29 @@ NORTH_M, EAST_M = np.broadcast_arrays(*MAP.middles_m())
 def test_one_request_is_outstanding_until_its_report_or_its_answers_stop() -> None:
     """For a second before the first answer, and for 0.4 s after one."""
     task = download(range_m=10_000.0)
-    first = task.on_time(0.0)
-    assert task.on_time(0.9) is None
+    first = asks(task, 0.0)
+    assert asks(task, 0.9) is None
     *blocks, over = answers(first)
     for message in (*blocks, report(first, pending=3)):
-        task.on_message(message, HERE)
-        assert task.on_time(0.96) is None
-    task.on_message(over, HERE)
-    second = task.on_time(0.97)
+        task.on_message(message, 0.96)
+        assert asks(task, 0.96) is None
+    task.on_message(over, 0.97)
+    second = asks(task, 0.97)
     for at_s, message in zip((1.0, 1.3), answers(second), strict=False):
-        task.on_message(message, HERE)
-        assert task.on_time(at_s) is None
-    assert task.on_time(1.6) is None
-    third = task.on_time(1.75)
+        task.on_message(message, at_s)
+        assert asks(task, at_s) is None
+    assert asks(task, 1.6) is None
+    third = asks(task, 1.75)
     assert len({(each.lat, each.lon) for each in (first, second, third)}) == 3
     silent = download(range_m=6000.0)
-    asked = [silent.on_time(tick / 10) for tick in range(50)]
+    asked = [asks(silent, tick / 10) for tick in range(40)]
     assert sum(request is not None for request in asked) == 4
-    assert [silent.is_over(at_s) for at_s in (DEADLINE_S - 0.1, DEADLINE_S)] == [False, True]
-    assert (silent.answered, told(silent.scan())) == (0, set())
+    assert [is_over(silent, at_s) for at_s in (DEADLINE_S - 0.1, DEADLINE_S)] == [False, True]
+    assert (silent.answered, told(scan_of(silent))) == (0, set())
     alone = download(range_m=1000.0)
-    again = [request for tick in range(35) if (request := alone.on_time(tick / 10)) is not None]
+    again = [request for tick in range(35) if (request := asks(alone, tick / 10)) is not None]
     assert (len(again), {each.mask for each in again}) == (3, {again[0].mask})
-    assert alone.is_over(3.4)
+    assert is_over(alone, 3.4)
 
 
 def spoilt(request: Any, bit: int) -> list[Any]:
@@ -143,7 +166,7 @@ def test_each_cell_within_range_gets_its_height_or_if_that_is_lost_or_spoilt_it_
     """What is lost is asked for twice more, alone; what is known is not asked for again."""
     task, asked, told = download(centre, range_m), Counter[Any](), set[Any]()
     for tick in range(40):
-        if (request := task.on_time(tick / 10)) is None:
+        if (request := asks(task, tick / 10)) is None:
             continue
         for bit in bits(request.mask):
             place = request.lat, request.lon, bit
@@ -155,12 +178,12 @@ def test_each_cell_within_range_gets_its_height_or_if_that_is_lost_or_spoilt_it_
                 again = block(request, bit, [9] * 16)
                 messages += [block(request, bit, true_heights(request, bit)), again]
             for message in messages:
-                task.on_message(message, HERE)
-        task.on_message(report(request), HERE)
+                task.on_message(message, tick / 10)
+        task.on_message(report(request), tick / 10)
     assert (task.answered, task.asked) == (len(told), len(asked))
     assert {place for place, times in asked.items() if times == 3} >= asked.keys() - told
     assert max(asked.values()) <= 3
-    scan = task.scan()
+    scan = scan_of(task)
     heights_m, known = on_map(scan), MAP.with_scan(scan)
     seen = ~np.isnan(heights_m)
     slack_m = 0.6 + scan.registration_m * math.hypot(0.1, 0.013)
@@ -172,16 +195,17 @@ def test_each_cell_within_range_gets_its_height_or_if_that_is_lost_or_spoilt_it_
         assert seen[np.hypot(NORTH_M - centre[0], EAST_M - centre[1]) <= range_m].all()
         assert list(areas(known, centre, range_m - 2 * CELL_M, FRAME)) == []
         again = download(centre, range_m, known)
-        assert (again.asked, again.is_over(0.0), again.on_time(0.0)) == (0, True, None)
+        assert (again.asked, is_over(again, 0.0)) == (0, True)
 
 
 def test_heights_are_kept_with_the_place_of_the_radar_and_minus_32768_is_not_seen() -> None:
     task, said = download(), (-32768, -32767, -1, 0, 1, 32767, *(5,) * 10)
-    first, *others = answers(task.on_time(0.0), said)
-    task.on_message(first, (1.0, 2.0, 3.0))
-    for message in others:
-        task.on_message(message, HERE)
-    scan = task.scan()
+    first, *others = answers(asks(task, 0.0), said)
+    for at_s, place, messages in ((0.1, (1.0, 2.0, 3.0), [first]), (0.2, HERE, others)):
+        assert asks(task, at_s, place) is None
+        for message in messages:
+            task.on_message(message, at_s)
+    scan = scan_of(task)
     places = {tuple(radar) for radar in scan.radar_nea_m[~np.isnan(scan.heights_m)]}
     assert places == {(1.0, 2.0, 3.0), HERE}
     assert told(scan) == {NOT_SEEN, *said[1:]}

@@ -48,9 +48,8 @@ _GUIDED_OPTIONS: Final = rules.when(
 
 def _by_its_own_lidar(mission: Mission) -> bool:
     """Whether the sensor of near things is one of the autopilot."""
-    near = mission.near
-    source = None if near is None else (near.component_id, near.kind)
-    return source == (AUTOPILOT_COMPONENT, "distance_sensor")
+    near, its_own = mission.near, (AUTOPILOT_COMPONENT, "distance_sensor")
+    return near is not None and (near.component_id, near.kind) == its_own
 
 
 _TURNING_LIDARS: Final = (5, 8, 15)
