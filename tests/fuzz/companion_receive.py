@@ -24,6 +24,7 @@ from random_programs import (
     COMMANDS,
     FAULTS,
     MESSAGES,
+    PLACE,
     VALUES,
     Reader,
     any_frame,
@@ -59,7 +60,6 @@ PERSONALITIES = (
     ("px4", "plane", "sitl-px4-plane", False),
     ("ardupilot", "copter", "sitl-arducopter", True),  # in lockstep
 )
-PLACE = {"latitude_deg": 47.4, "longitude_deg": 8.5}
 HANDLED = message_numbers(
     """
     HEARTBEAT GLOBAL_POSITION_INT LOCAL_POSITION_NED ATTITUDE GPS_RAW_INT EKF_STATUS_REPORT
@@ -110,17 +110,16 @@ def straight_plan(request: PlanRequest) -> PlanOutcome:
 
 # --- sessions as bytes
 
-_outside: list[Context | Autopilot | Firmware] = []
-"""What stays the same for a whole mission is not in them."""
+_outside = dict[int, Context | Autopilot | Firmware]()
+"""What stays the same for a whole mission is not in them: by id."""
 
 
 class _Pickler(pickle.Pickler):
     def persistent_id(self, obj: Any) -> int | None:
         if not isinstance(obj, Context | Autopilot | Firmware):
             return None
-        if not any(obj is each for each in _outside):
-            _outside.append(obj)
-        return next(k for k, each in enumerate(_outside) if each is obj)
+        _outside[id(obj)] = obj
+        return id(obj)
 
 
 class _Unpickler(pickle.Unpickler):
@@ -241,9 +240,7 @@ class Run:
                 for _ in range(1 + reader.byte() % 60):
                     self.tick(reader)
             case 8:
-                self.vehicle.plans[PlanKind(reader.byte() % 3)] = plan_items(
-                    reader, tuple(PLACE.values())
-                )
+                self.vehicle.plans[PlanKind(reader.byte() % 3)] = plan_items(reader)
             case _:
                 self.receive(self.frame(HANDLED[reader.byte() % len(HANDLED)], reader))
 
