@@ -18,7 +18,6 @@ import time
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import scripted_vehicle
 from pymavlink.dialects.v20 import all as mavlink
 from random_programs import (
     COMMANDS,
@@ -33,6 +32,7 @@ from random_programs import (
     message_numbers,
     plan_items,
 )
+from scripted_vehicle import straight_plan
 
 from companion.config import load_mission
 from companion.geodesy import LocalFrame
@@ -42,7 +42,7 @@ from companion.mavlink.frames import Receiver
 from companion.mavlink.link import Output
 from companion.mission.decisions import Context
 from companion.mission.mission import EndAction, Mission
-from companion.planner.request import Backtrack, NotPlanned, PlanOutcome, PlanRequest, Refusal
+from companion.planner.request import Backtrack, NotPlanned, PlanRequest, Refusal
 from companion.session import Session
 from companion.telemetry.run_folder import journal_line
 from vehicle_sim.parameters import Parameter
@@ -101,13 +101,6 @@ def mission(name: str) -> Mission:
     )
 
 
-def straight_plan(request: PlanRequest) -> PlanOutcome:
-    """A straight and level subpath to the target; no way back."""
-    if request.flown is not None:
-        return Backtrack(plan_id=request.plan_id, subpaths=(), through=(), reaches_start=False)
-    return scripted_vehicle.straight_plan(request)
-
-
 # --- sessions as bytes
 
 _outside = dict[int, Context | Autopilot | Firmware]()
@@ -134,12 +127,6 @@ def saved(session: Session) -> bytes:
     return buffer.getvalue()
 
 
-def restored(content: bytes) -> Session:
-    """A session as it was."""
-    session: Session = _Unpickler(io.BytesIO(content)).load()
-    return session
-
-
 # --- the flights
 
 
@@ -152,7 +139,7 @@ class Moment(NamedTuple):
 
     def again(self) -> "Run":
         """Both go on from there."""
-        return Run(restored(self.session), copy.deepcopy(self.vehicle))
+        return Run(_Unpickler(io.BytesIO(self.session)).load(), copy.deepcopy(self.vehicle))
 
 
 class Target:
@@ -305,9 +292,11 @@ class Run:
             self._plan()
 
     def _plan(self) -> None:
+        """A straight and level subpath to the target; no way back."""
         asked, self._asked = self._asked, None
         assert asked is not None
-        self.session.deliver(straight_plan(asked))
+        back = Backtrack(plan_id=asked.plan_id, subpaths=(), through=(), reaches_start=False)
+        self.session.deliver(straight_plan(asked) if asked.flown is None else back)
 
     def frame(self, number: int, reader: Reader) -> bytes:
         """Of anybody, with any payload."""

@@ -87,11 +87,14 @@ class Target:
                     vehicle.receive(link, _setpoint(reader))
                 case 6:
                     names = list(vehicle.parameters)
-                    name = names[(reader.byte() << 8 | reader.byte()) % len(names)]
-                    vehicle.receive(0, _parameter(name, reader.value()))
+                    name = names[(reader.byte() << 8 | reader.byte()) % len(names)].encode()
+                    value = reader.value()
+                    kind = 6 if abs(value) < 1e6 and value == int(value) else 9
+                    change = mavlink.MAVLink_param_set_message(1, 1, name, value, kind)
+                    vehicle.receive(0, bytes(change.pack(_STATION)))
                 case 7:
-                    autopilot, kind = vehicle._controller.autopilot, PlanKind(reader.byte() % 3)
-                    vehicle._controller.answer(store(autopilot, kind, plan_items(reader)))
+                    autopilot, plan = vehicle._controller.autopilot, PlanKind(reader.byte() % 3)
+                    vehicle._controller.answer(store(autopilot, plan, plan_items(reader)))
                 case 8:
                     vehicle.add_fault(FAULTS[reader.byte() % len(FAULTS)])
                 case _:
@@ -133,9 +136,3 @@ def _setpoint(reader: Reader) -> bytes:
         made = mavlink.MAVLink_set_position_target_global_int_message
         values[:2] = (EDGES_E7[reader.byte() % len(EDGES_E7)] for _ in range(2))
     return bytes(made(0, 1, 1, frame, mask, *values).pack(_STATION))
-
-
-def _parameter(name: str, value: float) -> bytes:
-    kind = 6 if abs(value) < 1e6 and value == int(value) else 9
-    message = mavlink.MAVLink_param_set_message(1, 1, name.encode(), value, kind)
-    return bytes(message.pack(_STATION))

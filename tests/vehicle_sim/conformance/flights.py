@@ -168,9 +168,8 @@ class Posts(msgspec.Struct, frozen=True, kw_only=True):
     count: int
     """A side."""
     radius_m: float
-    metres_per_latitude: float
-    """The recorded simulator's own flat earth."""
-    metres_per_longitude: float
+    metres_per_degree: tuple[float, float]
+    """Of latitude and of longitude, on the recorded simulator's own flat earth."""
 
     def places_ne_m(self) -> FloatArray:
         """In those metres.  -> (count^2, 2)."""
@@ -271,24 +270,17 @@ def _place(vehicle: Vehicle, recording: Recording, flight: Flight, at_s: float) 
 def rig_of(recording: Recording, flight: Flight) -> Rig:
     """A vehicle of that kind at home, with the posts around it."""
     posts, told = flight.posts, dict[str, Any](flight.parameters)
-    *place, heading_deg = flight.home
+    place, heading_deg = flight.home[:3], flight.home[3]
     if posts is not None:
-        metres = (posts.metres_per_latitude, posts.metres_per_longitude)
-        at_deg = np.array(place[:2]) + posts.places_ne_m() / metres
+        at_deg = np.array(place[:2]) + posts.places_ne_m() / posts.metres_per_degree
         frame = LocalFrame(latitude_deg=place[0], longitude_deg=place[1])
         size = {"radius_m": posts.radius_m, "height_m": _POST_M}
         places = zip(*frame.to_local_many(*at_deg.T), strict=True)
         told["trees"] = [{"north_m": float(n), "east_m": float(e)} | size for n, e in places]
         told["lidar"] = flight.lidar
     told |= {"heading_deg": heading_deg, "system_id": recording.system}
-    faults = timeline(recording, flight)
-    return Rig(recording.firmware, recording.kind, (*place,), faults=faults, **told)
-
-
-def timeline(recording: Recording, flight: Flight) -> str:
-    """The flight's faults as lines of a timeline file, in vehicle time."""
-    lines = []
-    for fault in flight.faults:
-        begin_s, end_s = (recording.clock.vehicle_s(t) for t in (fault.begin_s, fault.end_s))
-        lines.append(f"at {begin_s:.2f} s for {end_s - begin_s:.2f} s: {fault.what}\n")
-    return "".join(lines)
+    clock, faults = recording.clock, ""
+    for each in flight.faults:
+        begin_s, end_s = (clock.vehicle_s(t) for t in (each.begin_s, each.end_s))
+        faults += f"at {begin_s:.2f} s for {end_s - begin_s:.2f} s: {each.what}\n"
+    return Rig(recording.firmware, recording.kind, place, faults=faults, **told)
