@@ -18,12 +18,12 @@ import time
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import scripted_vehicle
 from pymavlink.dialects.v20 import all as mavlink
 from random_programs import (
     COMMANDS,
     FAULTS,
     MESSAGES,
+    PLACE,
     VALUES,
     Reader,
     any_frame,
@@ -32,6 +32,7 @@ from random_programs import (
     message_numbers,
     plan_items,
 )
+from scripted_vehicle import straight_plan
 
 from companion.config import load_mission
 from companion.geodesy import LocalFrame
@@ -41,7 +42,7 @@ from companion.mavlink.frames import Receiver
 from companion.mavlink.link import Output
 from companion.mission.decisions import Context
 from companion.mission.mission import EndAction, Mission
-from companion.planner.request import Backtrack, NotPlanned, PlanOutcome, PlanRequest, Refusal
+from companion.planner.request import Backtrack, NotPlanned, PlanRequest, Refusal
 from companion.session import Session
 from companion.telemetry.run_folder import journal_line
 from vehicle_sim.parameters import Parameter
@@ -59,7 +60,6 @@ PERSONALITIES = (
     ("px4", "plane", "sitl-px4-plane", False),
     ("ardupilot", "copter", "sitl-arducopter", True),  # in lockstep
 )
-PLACE = {"latitude_deg": 47.4, "longitude_deg": 8.5}
 HANDLED = message_numbers(
     """
     HEARTBEAT GLOBAL_POSITION_INT LOCAL_POSITION_NED ATTITUDE GPS_RAW_INT EKF_STATUS_REPORT
@@ -101,26 +101,18 @@ def mission(name: str) -> Mission:
     )
 
 
-def straight_plan(request: PlanRequest) -> PlanOutcome:
-    """A straight and level subpath to the target; no way back."""
-    if request.flown is not None:
-        return Backtrack(plan_id=request.plan_id, subpaths=(), through=(), reaches_start=False)
-    return scripted_vehicle.straight_plan(request)
-
-
 # --- sessions as bytes
 
-_outside: list[Context | Autopilot | Firmware] = []
-"""What stays the same for a whole mission is not in them."""
+_outside = dict[int, Context | Autopilot | Firmware]()
+"""What stays the same for a whole mission is not in them: by id."""
 
 
 class _Pickler(pickle.Pickler):
     def persistent_id(self, obj: Any) -> int | None:
         if not isinstance(obj, Context | Autopilot | Firmware):
             return None
-        if not any(obj is each for each in _outside):
-            _outside.append(obj)
-        return next(k for k, each in enumerate(_outside) if each is obj)
+        _outside[id(obj)] = obj
+        return id(obj)
 
 
 class _Unpickler(pickle.Unpickler):
@@ -135,12 +127,6 @@ def saved(session: Session) -> bytes:
     return buffer.getvalue()
 
 
-def restored(content: bytes) -> Session:
-    """A session as it was."""
-    session: Session = _Unpickler(io.BytesIO(content)).load()
-    return session
-
-
 # --- the flights
 
 
@@ -153,7 +139,7 @@ class Moment(NamedTuple):
 
     def again(self) -> "Run":
         """Both go on from there."""
-        return Run(restored(self.session), copy.deepcopy(self.vehicle))
+        return Run(_Unpickler(io.BytesIO(self.session)).load(), copy.deepcopy(self.vehicle))
 
 
 class Target:
@@ -241,9 +227,7 @@ class Run:
                 for _ in range(1 + reader.byte() % 60):
                     self.tick(reader)
             case 8:
-                self.vehicle.plans[PlanKind(reader.byte() % 3)] = plan_items(
-                    reader, tuple(PLACE.values())
-                )
+                self.vehicle.plans[PlanKind(reader.byte() % 3)] = plan_items(reader)
             case _:
                 self.receive(self.frame(HANDLED[reader.byte() % len(HANDLED)], reader))
 
@@ -308,9 +292,11 @@ class Run:
             self._plan()
 
     def _plan(self) -> None:
+        """A straight and level subpath to the target; no way back."""
         asked, self._asked = self._asked, None
         assert asked is not None
-        self.session.deliver(straight_plan(asked))
+        back = Backtrack(plan_id=asked.plan_id, subpaths=(), through=(), reaches_start=False)
+        self.session.deliver(straight_plan(asked) if asked.flown is None else back)
 
     def frame(self, number: int, reader: Reader) -> bytes:
         """Of anybody, with any payload."""

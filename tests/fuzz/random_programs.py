@@ -28,6 +28,8 @@ FAULTS = ("for 1 s: gps_off", "for 2 s: gps_glitch 30 m up", "pilot", "origin_mo
 FAULTS += ("estimator_reset 300 m west", "for 2 s: wind 20 m/s from 90 deg turbulence 5")
 FRAMES = (0, 1, 2, 3, 5, 6, 7, 8, 9, 10, 11, 12, 21, 255)
 EDGES_E7 = (0, 474_000_000, 85_000_000, -(2**31), 2**31 - 1)
+PLACE = {"latitude_deg": 47.4, "longitude_deg": 8.5}
+"""Where the vehicles stand."""
 _ITEMS = (16, 17, 18, 19, 20, 21, 22, 82, 177, 178, 201, *range(5000, 5005), 5100, 0, 65535)
 
 
@@ -120,12 +122,11 @@ def command(reader: Reader, numbers: tuple[int, ...], codec: Any, target: tuple[
         message = mavlink.MAVLink_command_int_message(
             *target, frame, number, 0, 0, *values[:4], *place, values[6]
         )
-    packed: bytes = message.pack(codec)
-    return packed
+    return bytes(message.pack(codec))
 
 
-def plan_items(reader: Reader, place_deg: tuple[float, ...]) -> tuple[PlanItem, ...]:
-    """Shapes of a fence near a place, places to fly to, or anything, of sense or none."""
+def plan_items(reader: Reader) -> tuple[PlanItem, ...]:
+    """Shapes of a fence near that place, places to fly to, or anything, of sense or none."""
     items = []
     for _ in range(reader.byte() % 5):
         number = _ITEMS[reader.byte() % len(_ITEMS)]
@@ -133,7 +134,7 @@ def plan_items(reader: Reader, place_deg: tuple[float, ...]) -> tuple[PlanItem, 
         size = float(corners) if corners > 1 else (20.0, 60.0, 300.0, *VALUES)[reader.byte() % 25]
         rest, frame = (reader.value(), reader.value(), reader.value()), reader.byte()
         for _ in range(corners):
-            x, y = (round(deg * 1e7) + (reader.byte() - 128) * 250 for deg in place_deg)
+            x, y = (round(deg * 1e7) + (reader.byte() - 128) * 250 for deg in PLACE.values())
             if reader.byte() % 8 == 0:
                 x = EDGES_E7[reader.byte() % len(EDGES_E7)]
             items.append(

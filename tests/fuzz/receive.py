@@ -16,6 +16,7 @@ from random_programs import (
     FAULTS,
     FRAMES,
     MESSAGES,
+    PLACE,
     Reader,
     any_frame,
     command,
@@ -28,15 +29,9 @@ from vehicle_sim.simulation import Simulation
 from vehicle_sim.wire.missions import store
 from vehicle_sim.world import flat_world
 
-PERSONALITIES: Any = (
-    ("copter", "ardupilot"),
-    ("plane", "ardupilot"),
-    ("copter", "px4"),
-    ("plane", "px4"),
-)
+PERSONALITIES: Any = [(kind, of) for of in ("ardupilot", "px4") for kind in ("copter", "plane")]
 SENDERS = [(system, component) for system in (255, 1, 42) for component in (190, 191, 195)]
 MASKS = (0, 0xDF8, 0xDC0, 0xC00, 0x9C0, 0xDC7)
-PLACE = (47.4, 8.5)
 LINKS = 2
 SLOWEST_S = 5.0
 """An input that takes longer is called a hang: the longest honest ones take milliseconds."""
@@ -60,10 +55,8 @@ class Target:
         if self._inputs % _FRESH_AFTER == 0:
             self._vehicles.clear()
         if which not in self._vehicles:
-            place = dict(zip(("latitude_deg", "longitude_deg"), PLACE, strict=True))
-            world = flat_world(
-                *PERSONALITIES[which], **place, altitude_amsl_m=488.0, heading_deg=0.0
-            )
+            above = {"altitude_amsl_m": 488.0, "heading_deg": 0.0}
+            world = flat_world(*PERSONALITIES[which], **PLACE, **above)
             vehicle = Simulation(world, links=LINKS, byte_streams={1})
             for _ in range(4500):
                 vehicle.step()
@@ -94,11 +87,14 @@ class Target:
                     vehicle.receive(link, _setpoint(reader))
                 case 6:
                     names = list(vehicle.parameters)
-                    name = names[(reader.byte() << 8 | reader.byte()) % len(names)]
-                    vehicle.receive(0, _parameter(name, reader.value()))
+                    name = names[(reader.byte() << 8 | reader.byte()) % len(names)].encode()
+                    value = reader.value()
+                    kind = 6 if abs(value) < 1e6 and value == int(value) else 9
+                    change = mavlink.MAVLink_param_set_message(1, 1, name, value, kind)
+                    vehicle.receive(0, bytes(change.pack(_STATION)))
                 case 7:
-                    autopilot, kind = vehicle._controller.autopilot, PlanKind(reader.byte() % 3)
-                    vehicle._controller.answer(store(autopilot, kind, plan_items(reader, PLACE)))
+                    autopilot, plan = vehicle._controller.autopilot, PlanKind(reader.byte() % 3)
+                    vehicle._controller.answer(store(autopilot, plan, plan_items(reader)))
                 case 8:
                     vehicle.add_fault(FAULTS[reader.byte() % len(FAULTS)])
                 case _:
@@ -135,20 +131,8 @@ def _setpoint(reader: Reader) -> bytes:
     """Of either kind."""
     frame, mask = FRAMES[reader.byte() % len(FRAMES)], MASKS[reader.byte() % len(MASKS)]
     values = [reader.value() for _ in range(11)]
-    message: Any = mavlink.MAVLink_set_position_target_local_ned_message(
-        0, 1, 1, frame, mask, *values
-    )
+    made: Any = mavlink.MAVLink_set_position_target_local_ned_message
     if reader.byte() % 2:
-        x, y = (EDGES_E7[reader.byte() % len(EDGES_E7)] for _ in range(2))
-        message = mavlink.MAVLink_set_position_target_global_int_message(
-            0, 1, 1, frame, mask, x, y, *values[2:]
-        )
-    packed: bytes = message.pack(_STATION)
-    return packed
-
-
-def _parameter(name: str, value: float) -> bytes:
-    kind = 6 if abs(value) < 1e6 and value == int(value) else 9
-    message = mavlink.MAVLink_param_set_message(1, 1, name.encode(), value, kind)
-    packed: bytes = message.pack(_STATION)
-    return packed
+        made = mavlink.MAVLink_set_position_target_global_int_message
+        values[:2] = (EDGES_E7[reader.byte() % len(EDGES_E7)] for _ in range(2))
+    return bytes(made(0, 1, 1, frame, mask, *values).pack(_STATION))

@@ -1,6 +1,7 @@
 """MAVSDK-Python against the PX4 personality: the present package, and the last that spoke gRPC."""
 
 import json
+from functools import partial
 from typing import Any
 
 import pytest
@@ -10,6 +11,7 @@ from programs import free_port
 from vehicle_sim.autopilot.px4copter import FIRMWARE
 from vehicle_sim.parameters import Kind
 
+about = partial(pytest.approx, rel=0.2)
 OLDER = pytest.param("mavsdk-3", marks=pytest.mark.nightly)
 
 
@@ -24,24 +26,15 @@ def test_it_reads_loads_and_flies_by_commands_missions_and_setpoints(
     assert other.wait(90.0) == 0, other.transcript
     found = json.loads(other.transcript.splitlines()[-1])
     whole = sum(row.kind is not Kind.REAL32 for row in FIRMWARE.table)
-    about = {
-        "home": [*HOME],
-        "attitude, Hz": 20.0,
-        "took off, m": 10.0,
-        "up, m": 15.0,
-        "velocity, m/s": [4.0, 1.0],
-    }
-    refused = {
-        "float as whole": "WRONG_TYPE",
-        "no such": "",
-        "without a setpoint": "NO_SETPOINT_SET",
-    }
-    for name, value in about.items():
-        assert found.pop(name) == pytest.approx(value, rel=0.2), name
-    for name, words in refused.items():
-        assert words in (said := found.pop(name)), name
-        assert said
+    assert "WRONG_TYPE" in found.pop("float as whole")
+    assert found.pop("no such")
+    assert "NO_SETPOINT_SET" in found.pop("without a setpoint")
     assert found == {
+        "home": about([*HOME]),
+        "attitude, Hz": about(20.0),
+        "took off, m": about(10.0),
+        "up, m": about(15.0),
+        "velocity, m/s": about([4.0, 1.0]),
         "version": [1, 17, 0],
         "parameters": [whole, len(FIRMWARE.table) - whole],
         "float": 2.5,

@@ -381,9 +381,9 @@ class Rig:
                 return each.message
         raise AssertionError(f"no {kind} has come")
 
-    def texts(self, since_s: float = 0.0, *, link: int = 0) -> list[str]:
+    def texts(self, since_s: float = 0.0) -> list[str]:
         """What was said, of each text the first 50 characters."""
-        told = (each.message for each in self.all("STATUSTEXT", since_s=since_s, link=link))
+        told = (each.message for each in self.all("STATUSTEXT", since_s=since_s))
         return [message.text for message in told if not message.chunk_seq]
 
     # --- to look at ---------------------------------------------------------------------------
@@ -451,11 +451,11 @@ KINDS: Final[tuple[tuple[Firmware, VehicleKind], ...]] = (
 
 
 @copied
-def flying(firmware: str, kind: VehicleKind, height_m: float = 40.0, **told: Any) -> Rig:
+def flying(firmware: str, kind: VehicleKind) -> Rig:
     """In the mode that takes setpoints, with a ground station on link 0."""
-    vehicle = Rig(firmware, kind, **told)
+    vehicle = Rig(firmware, kind)
     vehicle.source, vehicle.beat = GCS, heartbeat(mavlink.MAV_TYPE_GCS)
-    vehicle.take_off(height_m)
+    vehicle.take_off(40.0)
     for number in (24, 33, 30):
         vehicle.command(511, number, 100_000)
     return vehicle.run(1.0)

@@ -197,10 +197,9 @@ def test_a_change_sets_in_slowly_keeps_the_speed_of_what_rises_and_goes_without_
 COPTER, PLANE, PX4 = "ardupilot copter", "ardupilot plane", "px4"
 EMPTY, SMALL = {"least": 0.0, "drain_s": 10.0}, {"capacity_ah": 3.3}
 
-
-BATTERIES: list[
-    tuple[Model, int, Any, float, Any, float]
-] = [  # volts, amperes, what is left; conditions None: it is not armed
+Discharge = tuple[Model, int, Any, float, Any, float]
+"""Seconds, conditions (None: it is not armed), volts, amperes, what is left."""
+BATTERIES: list[Discharge] = [
     # px4-offboard-8mps.tlog: 16.2 V full, 15.3 V at 50 % for ever, 33 s after arming
     (PX4, 10, {}, 16.2 - 1.8 / 6.0, -1.0, 1.0 - 10.0 / 60.0),
     (PX4, 40, {}, 15.3, -1.0, 0.5),

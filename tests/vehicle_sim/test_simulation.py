@@ -19,7 +19,7 @@ from clients import ROOT, Client, is_question
 from harness import NAN, PLACE, Rig, heartbeat, setpoint
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.testing import Simulator, vehicle_sim  # noqa: F401
+from vehicle_sim import testing
 
 DOWN_S = 1.1
 """The autopilot reboots for so long."""
@@ -129,10 +129,11 @@ def test_what_has_warmed_up_compiles_nothing_in_flight_also_where_nothing_can_be
 
 # --- for users' tests -----------------------------------------------------------------------------
 
-Start = Callable[..., Simulator]
+Start = Callable[..., testing.Simulator]
+vehicle_sim = testing.vehicle_sim
 
 
-def send(sim: Simulator, *messages: Any) -> None:
+def send(sim: testing.Simulator, *messages: Any) -> None:
     """By a companion, in a datagram."""
     mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
     sim.simulation.receive(0, b"".join(message.pack(mav) for message in messages))
@@ -155,7 +156,7 @@ def test_the_example_of_the_page_passes_when_it_is_pasted(tmp_path: Path) -> Non
 
 
 def test_time_goes_on_by_as_much_as_is_asked_and_assertions_say_when_and_by_how_much(
-    vehicle_sim: Start,  # noqa: F811
+    vehicle_sim: Start,
 ) -> None:
     sim, calls = vehicle_sim(), list[float]()
     with pytest.raises(AssertionError, match="no HEARTBEAT came in"):
@@ -180,9 +181,7 @@ def test_time_goes_on_by_as_much_as_is_asked_and_assertions_say_when_and_by_how_
 
 
 def test_in_lockstep_every_tick_waits_for_the_clients_answer_and_not_for_ever(
-    vehicle_sim: Start,  # noqa: F811
-    companion: Client,
-    monkeypatch: pytest.MonkeyPatch,
+    vehicle_sim: Start, companion: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sim, asked = vehicle_sim(lockstep=True), list[int]()
     companion.link.setblocking(False)
@@ -205,8 +204,7 @@ def test_in_lockstep_every_tick_waits_for_the_clients_answer_and_not_for_ever(
 
 @pytest.mark.parametrize("strict", [True, False])
 def test_what_the_real_one_does_not_survive_fails_the_test_unless_it_is_not_to(
-    vehicle_sim: Start,  # noqa: F811
-    strict: bool,
+    vehicle_sim: Start, strict: bool
 ) -> None:
     sim = vehicle_sim(ready=True, strict=strict)
     send(sim, command(176, 1, 4), setpoint((NAN, 0.0, -20.0)))
@@ -215,7 +213,7 @@ def test_what_the_real_one_does_not_survive_fails_the_test_unless_it_is_not_to(
 
 
 def test_a_crash_is_seen_however_short_it_is_and_faults_and_parameters_can_be_set(
-    vehicle_sim: Start,  # noqa: F811
+    vehicle_sim: Start,
 ) -> None:
     sim = vehicle_sim(ready=True)
     sim.set_parameter("GUID_TIMEOUT", 1.5)

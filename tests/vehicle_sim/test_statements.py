@@ -160,6 +160,7 @@ airspeed, mode_of, aimed_at, truly = map(
     attrgetter,
     ("vehicle.airspeed_m_s", "mode", "autopilot.target.position", "simulation.contact.local_m"),
 )
+intended = attrgetter("status.intended_mode", "status.system_status")
 mode_height, mode_roll = attrgetter("mode", "height_m"), attrgetter("mode", "vehicle.roll_rad")
 
 
@@ -375,8 +376,7 @@ PX4: Rows = [
     (lambda: lost(5), [], 5, attrgetter("mode", "speed_m_s"), ("Hold", about(0, 0.3))),
     # after 1.1 s, and it is taken up when it is back
     (lambda: lost(5), [], 0, seconds_to(lambda it: it.mode != "Offboard"), about(1.05, 0.1)),
-    (lambda: lost(5), [run(2)], 0, attrgetter("status.intended_mode"), 6 << 16),
-    (lambda: lost(5), [run(2)], 0, attrgetter("status.system_status"), 5),  # CRITICAL
+    (lambda: lost(5), [run(2)], 0, intended, (6 << 16, 5)),  # and CRITICAL
     (lambda: lost(5), [run(2), stream(0.3, None, (5, 0, 0))], 0, mode_of, "Offboard"),
     # 8: without a position Hold is a descent
     (hover, [mode("Hold"), fault("gps_off")], 0, DESCENDS, about(5.2, 0.4)),

@@ -56,9 +56,7 @@ SATURATED_M_S = 12.0
 
 @pytest.mark.sample(4)
 @pytest.mark.parametrize(
-    "row",
-    EIGHTS,
-    ids=lambda row: f"{row.speed_m_s:.0f} {row.kind} {row.rate_hz:.0f}",
+    "row", EIGHTS, ids=lambda row: f"{row.speed_m_s:.0f} {row.kind} {row.rate_hz:.0f}"
 )
 def test_px4_tracks_a_curve_as_the_real_one_does(row: tracked.Eight) -> None:
     """Without a position, and 0.15 s ahead, the real one's own runs differ by as much."""

@@ -34,10 +34,8 @@ def parameters(vehicle: mavutil.mavfile) -> None:
 
 def mission(vehicle: mavutil.mavfile) -> None:
     """Upload a mission with mavwp and download it again."""
-    here, us = (
-        vehicle.location(relative_alt=True),
-        (vehicle.target_system, vehicle.target_component),
-    )
+    here = vehicle.location(relative_alt=True)
+    us = (vehicle.target_system, vehicle.target_component)
     loader = mavwp.MAVWPLoader(*us)
     for k in range(4):
         loader.add_latlonalt(here.lat + 1e-4 * k, here.lng, 10.0 + k)

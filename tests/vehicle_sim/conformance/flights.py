@@ -149,15 +149,6 @@ def read_recording(path: Path) -> Recording:
 # --- what it does not say of itself; times are seconds after the first record --------------------
 
 
-class Place(msgspec.Struct, frozen=True, kw_only=True):
-    """Where the vehicle stood before the flight."""
-
-    latitude_deg: float
-    longitude_deg: float
-    altitude_amsl_m: float
-    heading_deg: float
-
-
 class Span(msgspec.Struct, frozen=True, kw_only=True):
     """Something from one time to another: left out, with why, or a fault, as in a timeline file."""
 
@@ -177,9 +168,8 @@ class Posts(msgspec.Struct, frozen=True, kw_only=True):
     count: int
     """A side."""
     radius_m: float
-    metres_per_latitude: float
-    """The recorded simulator's own flat earth."""
-    metres_per_longitude: float
+    metres_per_degree: tuple[float, float]
+    """Of latitude and of longitude, on the recorded simulator's own flat earth."""
 
     def places_ne_m(self) -> FloatArray:
         """In those metres.  -> (count^2, 2)."""
@@ -187,16 +177,16 @@ class Posts(msgspec.Struct, frozen=True, kw_only=True):
         return np.array((self.north_m, self.east_m)) + steps.reshape(-1, 2)
 
 
-class Reason(msgspec.Struct, frozen=True, kw_only=True):
+class Reason(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """Why some rows do not agree: regular expressions for the whole of what they say."""
 
     kind: str
     names: str
-    why: str
-    shown: str = ".*"
+    shown: str
     """What the simulated one shows."""
-    most: float = math.inf
+    most: float
     """It explains differences up to so many tolerances."""
+    why: str
 
     def explains(self, row: Any) -> bool:
         told = ((self.kind, row.kind), (self.names, row.name), (self.shown, row.shown[1]))
@@ -208,7 +198,8 @@ class Flight(msgspec.Struct, frozen=True, kw_only=True):
 
     recording: str
     """Name of its file."""
-    home: Place
+    home: tuple[float, float, float, float]
+    """Before it: latitude and longitude in degrees, metres AMSL, the heading in degrees."""
     parameters: Mapping[str, float] = {}
     posts: Posts | None = None
     """What its lidar sees."""
@@ -268,7 +259,7 @@ def _place(vehicle: Vehicle, recording: Recording, flight: Flight, at_s: float) 
     newest = {one.number: one for one in recording.said if one.at_s <= at_s}
     position, attitude = newest[_GLOBAL].message, newest[_ATTITUDE].message
     vehicle.latitude_deg, vehicle.longitude_deg = position.lat / 1e7, position.lon / 1e7
-    vehicle.altitude_amsl_m = flight.home.altitude_amsl_m + position.relative_alt / 1e3
+    vehicle.altitude_amsl_m = flight.home[2] + position.relative_alt / 1e3
     vehicle.velocity_m_s = complex(position.vx / 1e2, position.vy / 1e2)
     vehicle.velocity_up_m_s = -position.vz / 1e2
     vehicle.airspeed_m_s = math.hypot(position.vx, position.vy) / 1e2
@@ -278,25 +269,18 @@ def _place(vehicle: Vehicle, recording: Recording, flight: Flight, at_s: float) 
 
 def rig_of(recording: Recording, flight: Flight) -> Rig:
     """A vehicle of that kind at home, with the posts around it."""
-    home, posts, told = flight.home, flight.posts, dict[str, Any](flight.parameters)
-    place = (home.latitude_deg, home.longitude_deg, home.altitude_amsl_m)
+    posts, told = flight.posts, dict[str, Any](flight.parameters)
+    place, heading_deg = flight.home[:3], flight.home[3]
     if posts is not None:
-        metres = (posts.metres_per_latitude, posts.metres_per_longitude)
-        at_deg = np.array(place[:2]) + posts.places_ne_m() / metres
+        at_deg = np.array(place[:2]) + posts.places_ne_m() / posts.metres_per_degree
         frame = LocalFrame(latitude_deg=place[0], longitude_deg=place[1])
         size = {"radius_m": posts.radius_m, "height_m": _POST_M}
         places = zip(*frame.to_local_many(*at_deg.T), strict=True)
         told["trees"] = [{"north_m": float(n), "east_m": float(e)} | size for n, e in places]
         told["lidar"] = flight.lidar
-    told |= {"heading_deg": home.heading_deg, "system_id": recording.system}
-    faults = timeline(recording, flight)
+    told |= {"heading_deg": heading_deg, "system_id": recording.system}
+    clock, faults = recording.clock, ""
+    for each in flight.faults:
+        begin_s, end_s = (clock.vehicle_s(t) for t in (each.begin_s, each.end_s))
+        faults += f"at {begin_s:.2f} s for {end_s - begin_s:.2f} s: {each.what}\n"
     return Rig(recording.firmware, recording.kind, place, faults=faults, **told)
-
-
-def timeline(recording: Recording, flight: Flight) -> str:
-    """The flight's faults as lines of a timeline file, in vehicle time."""
-    lines = []
-    for fault in flight.faults:
-        begin_s, end_s = (recording.clock.vehicle_s(t) for t in (fault.begin_s, fault.end_s))
-        lines.append(f"at {begin_s:.2f} s for {end_s - begin_s:.2f} s: {fault.what}\n")
-    return "".join(lines)

@@ -56,9 +56,8 @@ def _found(side: Side, flight: Flight, posts: Posts) -> Found:
         found["healthy silence", "longest"] = max(gaps)
     if not (truth and turns and echoes):
         return found
-    home = (flight.home.latitude_deg, flight.home.longitude_deg)
-    scale = (posts.metres_per_latitude, posts.metres_per_longitude)
-    flown_ne_m = (np.array([(m.lat / 1e7, m.lng / 1e7) for _, m in truth]) - home) * scale
+    away_deg = np.array([(m.lat / 1e7, m.lng / 1e7) for _, m in truth]) - flight.home[:2]
+    flown_ne_m = away_deg * posts.metres_per_degree
     flown_s = np.array([time_s for time_s, _ in truth])
     yaw_s = np.array([m.time_boot_ms * 1e-3 for _, m in turns])
     yaw_rad = np.unwrap([m.yaw for _, m in turns])

@@ -274,6 +274,7 @@ _EXCHANGES = {
 }
 """Mission protocol: of each message what was said."""
 _ECHO = "coordinate_frame {0.coordinate_frame}, type_mask {0.type_mask:#x}"
+_VEHICLE = "type {0.type}, autopilot {0.autopilot}, mavlink {0.mavlink_version}"
 Told = Callable[[Any], str]
 
 
@@ -293,11 +294,7 @@ def state_rows(comparison: Comparison) -> Iterator[Row]:
         ("armed", 0, lambda m: "armed" if m.base_mode & 0x80 else "disarmed"),
         ("base mode", 0, lambda m: f"{m.base_mode & ~0x80:#x}"),
         ("system status", 0, _enum("MAV_STATE", "system_status")),
-        (
-            "vehicle",
-            0,
-            "type {0.type}, autopilot {0.autopilot}, mavlink {0.mavlink_version}".format,
-        ),
+        ("vehicle", 0, _VEHICLE.format),
         ("landed", 245, _enum("MAV_LANDED_STATE", "landed_state")),
         ("vtol", 245, "{0.vtol_state:#x}".format),
         ("fix", 24, _enum("GPS_FIX_TYPE", "fix_type")),

@@ -159,7 +159,7 @@ def _heading_deg(message: Any) -> float:
 
 def _measures(comparison: Comparison) -> dict[str, list[tuple[int, list[Measure]]]]:
     """By kind of row the messages that are looked at, and of these the worst measure each."""
-    north_m, east_m = metres_per_degree(comparison.flight.home.latitude_deg)
+    north_m, east_m = metres_per_degree(comparison.flight.home[0])
 
     def level(latitude: str, longitude: str) -> Measure:
         """In metres: the angles are told in 1e-7 degrees."""
