@@ -4,36 +4,15 @@ import numpy as np
 
 from companion.campaign.store import COLUMNS, Row
 
-BASE: Row = {
-    "world": "hill",
-    "mission": "hill",
-    "profile": "flight",
-    "optimiser": "refined-de",
-    "budget": 3000,
-    "planner": "ours",
-    "knowledge": "scans",
-    "over": "process",
-    "outcome": "arrived",
-    "arrived": True,
-    "violations": 0,
-    "cost": 10.0,
-    "length_m": 1100.0,
-    "straight_m": 1000.0,
-    "clearance_least_m": 60.0,
-    "folder": "",
-    "version": "0.2.0",
-}
+BASE: Row = {"world": "hill", "mission": "hill", "profile": "flight", "optimiser": "refined-de"}
+BASE |= {"budget": 3000, "planner": "ours", "knowledge": "scans", "over": "process"}
+BASE |= {"outcome": "arrived", "arrived": True, "violations": 0, "folder": "", "version": "0.2.0"}
+BASE |= {"cost": 10.0, "length_m": 1100.0, "straight_m": 1000.0, "clearance_least_m": 60.0}
 
 
 def row(run: int, **values: object) -> Row:
-    return {
-        **dict.fromkeys(COLUMNS),
-        **BASE,
-        "run": run,
-        "key": f"hill/{run}",
-        "seed": run,
-        **values,
-    }
+    own = {"run": run, "key": f"hill/{run}", "seed": run}
+    return {**dict.fromkeys(COLUMNS), **BASE, **own, **values}
 
 
 def paired_rows(count: int = 40) -> list[Row]:

@@ -52,6 +52,7 @@ faults = ["none", "dead"]
 name = "dead"
 faults = "at 45 s: battery 1 %"
 """
+WHEN = {"table-1": pytest.mark.nightly}
 COMMAND = [sys.executable, "-c", "from companion.cli import main; main()", "campaign"]
 
 
@@ -160,11 +161,7 @@ def test_what_arrives_is_judged_and_only_files_of_what_does_not_are_kept(tmp_pat
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=[pytest.mark.nightly] if name == "table-1" else [])
-        for name in bundled_campaigns()
-    ],
+    "name", [pytest.param(n, marks=WHEN.get(n, ())) for n in bundled_campaigns()]
 )
 def test_the_first_run_of_a_bundled_campaign_flies(name: str, tmp_path: Path) -> None:
     """With few candidates to a plan."""

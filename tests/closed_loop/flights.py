@@ -99,17 +99,11 @@ class Flight(Recorded):
 
 
 def flown_here(
-    folder: Path,
-    world: str | Path,
-    mission: str | Path,
-    faults: str = "",
-    seed: int = 1,
-    *,
-    limit_s: float = 600.0,
+    folder: Path, world: str | Path, mission: str | Path, faults: str = "", seed: int = 1
 ) -> Recorded:
-    """A flight in this process, in lockstep, recorded until it ends or is stopped by then."""
+    """A flight in this process, in lockstep, recorded until it ends, or for ten minutes."""
     files = FlightFiles(world=Path(world), mission=Path(mission), faults=faults, folder=folder)
-    fly_here(files, seed=seed, limit_s=limit_s)
+    fly_here(files, seed=seed, limit_s=600.0)
     return Recorded(folder=folder)
 
 

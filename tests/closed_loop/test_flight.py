@@ -4,6 +4,7 @@ The flight over the hills is flown twice: in this process, and over UDP by two p
 is shown on a terminal and as JSON, on a disk that becomes full.
 """
 
+import contextlib
 import json
 import os
 import pty
@@ -159,7 +160,10 @@ def shown(tmp_path_factory: pytest.TempPathFactory, hills: Recorded) -> Shown:
     how = f"--seed {SEED} --connect udpout:127.0.0.1:{port} --lockstep --out {folder} --faults"
     vehicle = run(BIN / "vehicle-sim", HILLS, *how.split(), folder / "faults.txt")
     try:
-        drawn = b"".join(iter(lambda: _drawn(screen), b""))
+        drawn = b""
+        with contextlib.suppress(OSError):  # Linux's end of a terminal
+            while chunk := os.read(screen, 65536):
+                drawn += chunk
         code = us.wait(60.0)
         assert vehicle.wait() == 0, vehicle.transcript
     finally:
@@ -167,13 +171,6 @@ def shown(tmp_path_factory: pytest.TempPathFactory, hills: Recorded) -> Shown:
         os.close(screen)
     told = (folder / "lines.json").read_text(encoding="utf-8").splitlines()
     return Shown(code, Recorded(folder=folder / "run"), folder, drawn.decode(), told)
-
-
-def _drawn(screen: int) -> bytes:
-    try:
-        return os.read(screen, 65536)
-    except OSError:  # Linux's end of a terminal
-        return b""
 
 
 def from_the_first_sync(log: Path) -> list[tuple[int, bytes]]:
@@ -225,11 +222,8 @@ def test_its_lines_of_json_are_as_documented_and_say_what_its_journal_says(
     for line, told in zip(shown.lines, (begun, *statuses, ended), strict=True):
         assert json.loads(line) == json.loads(msgspec.json.encode(told))  # no other fields
     [end] = hills.entries("end")
-    assert (ended.outcome.value, ended.reason, ended.exit_code) == (
-        end["outcome"],
-        end["reason"],
-        0,
-    )
+    said = ended.outcome.value, ended.reason, ended.exit_code
+    assert said == (end["outcome"], end["reason"], 0)
     phases = [(0.0, "waiting"), *((e["t_s"], e["phase"]) for e in hills.entries("phase"))]
     for status in statuses:
         begins = [phase for t_s, phase in phases if abs(t_s - status.t_s) <= TICK_S]

@@ -337,7 +337,8 @@ class Craft:
                 if self.takes_off or self.accepts:
                     self.will_say(events.TakeOffTaken(time_s=self.now_s))
                 if self.takes_off:
-                    self.mode = Mode.TAKE_OFF if self._by_itself else self.mode
+                    if self.traits.take_off is not TakeoffSequence.GUIDED_THEN_CLIMB:
+                        self.mode = Mode.TAKE_OFF
                     self.climb_to_m = altitude
                     self.landed = Landed.TAKING_OFF if self.armed else self.landed
             case events.StartScan():
@@ -350,10 +351,6 @@ class Craft:
                 self.goal = there if self.mode is Mode.GUIDED else self.goal
             case _:
                 pass
-
-    @property
-    def _by_itself(self) -> bool:
-        return self.traits.take_off is not TakeoffSequence.GUIDED_THEN_CLIMB
 
     def _may_be(self, mode: Mode) -> bool:
         """Some take guided mode only while setpoints come."""

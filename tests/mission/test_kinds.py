@@ -9,13 +9,13 @@ from made_up import (
     AWAY,
     EACH,
     HOME_AMSL_M,
-    MOVING,
     PLANES,
     SPEED_M_S,
     Craft,
     calm,
     flying,
     led,
+    moving,
     now,
     short_legs,
     tell,
@@ -53,11 +53,7 @@ def test_a_mission_is_sent_up_arrives_and_ends_as_it_should_and_keeps_the_setpoi
     traits: VehicleTraits, end: EndAction
 ) -> None:
     craft = led(traits, end_action=end)
-    told = [
-        type(c)
-        for c in craft.commands
-        if isinstance(c, MOVING) and not isinstance(c, events.SetSpeed)
-    ]
+    told = [type(c) for c in moving(craft.commands) if not isinstance(c, events.SetSpeed)]
     told = told[: told.index(Setpoint)]
     guided = traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB
     assert list(dict.fromkeys(told)) == FIRST[traits.take_off]

@@ -26,20 +26,14 @@ PLACE = Lattice(cell_m=CELL_M, north_min_m=-1000.0, east_min_m=-1000.0, shape=(3
 ASIDE_M = SETTINGS.safety_distance_m + LIMITS.tracking_error_m + 2.0 * CELL_M
 
 
-def on_path(craft: Craft, ahead_m: float, aside_m: float = 0.0) -> tuple[float, float]:
-    """A place so far ahead of it, and to the right."""
-    path = craft.state.path
-    north, east, _ = path.leg.subpath.pose(path.reference.length_m + ahead_m).point_nea_m
-    return north - aside_m, east + aside_m
-
-
 def sees(sight: Sight = Sight.SEES, *things_m: tuple[float, float], **fields: float) -> Step:
-    """Things so far ahead, or aside."""
+    """Things so far ahead of it, and to the right."""
 
     def see(craft: Craft) -> None:
-        near = NearMap(PLACE)
-        for north, east in (on_path(craft, *thing) for thing in things_m):
-            cell = round(north / CELL_M) + 10, round(east / CELL_M) + 10
+        near, path = NearMap(PLACE), craft.state.path
+        for ahead_m, aside_m in things_m:
+            north, east, _ = path.leg.subpath.pose(path.reference.length_m + ahead_m).point_nea_m
+            cell = round((north - aside_m) / CELL_M) + 10, round((east + aside_m) / CELL_M) + 10
             near.met_since_s[cell] = near.met_s[cell] = 1.0
         hears(NearSeen, sight=sight, near=near, **fields)(craft)
 

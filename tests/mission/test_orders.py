@@ -92,9 +92,7 @@ def test_an_order_is_accepted_where_it_is_carried_out_and_what_is_accepted_is_do
 def test_an_order_that_can_never_be_carried_out_is_invalid_and_who_only_watches_obeys_nobody() -> (
     None
 ):
-    craft, shadow = flying(AWAY), Craft(shadow=True).fly_to(Phase.SHADOW)
-    vehicle = replace(craft.state.vehicle, traits=ARDUPLANE.traits)
-    craft.state = replace(craft.state, vehicle=vehicle)
+    craft, shadow = flown_by(ARDUPLANE.traits), Craft(shadow=True).fly_to(Phase.SHADOW)
     for kind, target_ne_m, why in (
         (REPOSITION, (1e6, 0.0), "reposition refused: the target: it lies outside the map"),
         (REPOSITION, (math.nan, 0.0), "reposition refused: the target: it lies outside the map"),

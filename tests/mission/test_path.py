@@ -142,10 +142,8 @@ def on_arc(radius_m: float, angle_rad: float, at: float, points: int = 30) -> On
     turn_rad = np.linspace(0.0, angle_rad, points)
     arc = np.stack([np.sin(turn_rad), 1.0 - np.cos(turn_rad), 0.0 * turn_rad], axis=-1)
     bent = Subpath(control_nea_m=radius_m * arc + (0.0, 0.0, cruising().here[2]))
-    path, reference = (
-        cruising().state.path,
-        Reference(length_m=at * bent.length_m, speed_m_s=SPEED_M_S),
-    )
+    path = cruising().state.path
+    reference = Reference(length_m=at * bent.length_m, speed_m_s=SPEED_M_S)
     return replace(path, leg=replace(path.leg, subpath=bent), reference=reference, next_leg=None)
 
 

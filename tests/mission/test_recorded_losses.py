@@ -50,13 +50,11 @@ class Fault(NamedTuple):
 
 
 ARDUPILOT = ("arducopter-gps-loss.tlog", ARDUCOPTER, "copter-canberra", 584.0)
+PX4 = ("px4-gps-loss.tlog", PX4_MULTICOPTER, "copter-zurich", 488.0)
 FAULTS = (
     Fault(*ARDUPILOT, (113.1, 148.3), 90.0, 155.0, 200.0),
     Fault(*ARDUPILOT, (163.2, 188.5), 152.0, 200.0, 400.0),
-    Fault(
-        *("px4-gps-loss.tlog", PX4_MULTICOPTER, "copter-zurich", 488.0),
-        *((76.3, 108.6), 50.0, 120.0, 400.0),
-    ),
+    Fault(*PX4, (76.3, 108.6), 50.0, 120.0, 400.0),
 )
 SEEN_S = 2.0
 """So long after it began a fault is seen: receiver at 5 Hz, estimator at 2 Hz, and it may flicker.
@@ -98,14 +96,6 @@ def on_route(fault: Fault) -> Session:
     state = replace(state, stage=Flying(path=OnPath(leg=leg)), airborne=True, flight=flight)
     kept = checkpoint.values_of(state), mission.known
     return Session(mission, seed=1, lockstep=False, resume=kept)
-
-
-def mode_asked(message: Any, autopilot: Autopilot) -> int | None:
-    """The custom mode that a command asks for."""
-    if getattr(message, "command", None) != wire.MAV_CMD_DO_SET_MODE:
-        return None
-    main, sub = int(message.param2), int(message.param3)
-    return main << 16 | sub << 24 if autopilot is PX4_MULTICOPTER else main
 
 
 def in_mode(heartbeat: Any, custom_mode: int) -> bytes:
@@ -158,9 +148,10 @@ class Flown:
             for told in (reader.decode(bytearray(packed)) for packed in out.frames):
                 self.leads_s += [at_s] * (told.get_type() in LEADS)
                 self.to_another += [told] * (by_another and was_by_another)
-                if (mode := mode_asked(told, fault.autopilot)) is not None:
-                    asked = mode
-                    self.modes.append((at_s, mode_of(mode)))
+                if getattr(told, "command", None) == wire.MAV_CMD_DO_SET_MODE:
+                    main, sub = int(told.param2), int(told.param3)
+                    asked = main << 16 | sub << 24 if fault.autopilot is PX4_MULTICOPTER else main
+                    self.modes.append((at_s, mode_of(asked)))
             if out.plan is not None:
                 self.planned_s.append(at_s)
                 plan, answer_s = out.plan, at_s + 0.5

@@ -14,6 +14,7 @@ from made_up import (
     AWAY,
     HOME_AMSL_M,
     LAND,
+    MISSION,
     NEAR,
     SITUATIONS,
     TAKEN,
@@ -103,6 +104,7 @@ def until(done: Callable[[Craft], object], limit_s: float = 3600.0) -> Callable[
 
 
 LOW = now(battery=0.1)
+WITHOUT_GO = now(context=Context(mission=MISSION, seed=1))
 GIVEN_BACK = now(mode=Mode.GUIDED, obeys_modes=True)
 FALLEN = now(mode=Mode.OTHER, armed=False, landed=Landed.ON_GROUND)
 LED_ON = until(lambda craft: craft.state.reference.length_m > 2_000.0)
@@ -137,19 +139,10 @@ def without_memory(craft: Craft) -> None:
     )
 
 
-def without_go(craft: Craft) -> None:
-    craft.context = Context(mission=craft.context.mission, seed=1)
-
-
 def answered(craft: Craft) -> None:
     """The planner answers what it was asked last."""
     outcome = home_or_on(craft.sent(events.Plan)[-1].request)
     craft.hear(events.PlanReady(time_s=craft.now_s, outcome=outcome))
-
-
-def home_is_here(craft: Craft) -> None:
-    """So an autopilot may say after a reboot in the air."""
-    craft.home_nea_m = craft.here
 
 
 def is_found(aside_m: float) -> Callable[[Craft], None]:
@@ -169,22 +162,20 @@ def fence_on_its_way_back(craft: Craft) -> None:
 
 
 AROUND = CircleZone(name="z", north_m=0.0, east_m=0.0, radius_m=100.0)
-CHECK = {"item": events.Item.CHECKS, "refusal": "signing: none", "remedy": "x"}
-PARAMETER = {"item": events.Item.PARAMETERS, "refusal": "GUID_OPTIONS = 16"}
+CHECK, PARAMETER = "signing: none", "GUID_OPTIONS = 16"
 LOSSES: dict[str, Callable[[Craft], object]] = {
     Reason.NO_FIX.text: now(fix=False),
     Reason.LINK_LOST.text: hears(events.LinkLost, silent_s=3.0),
     Reason.BATTERY_SHORT.text: drains,
     Reason.POSITION_JUMPED.text: now(here=(1e6, 0.0, HOME_AMSL_M)),
     Reason.OUTSIDE.text: hears(events.FenceChanged, zones=(AROUND,)),
-    "signing: none": hears(events.Prepared, **CHECK),
-    "GUID_OPTIONS = 16": hears(events.Prepared, **PARAMETER),
+    CHECK: hears(events.Prepared, item=events.Item.CHECKS, refusal=CHECK, remedy="x"),
+    PARAMETER: hears(events.Prepared, item=events.Item.PARAMETERS, refusal=PARAMETER),
     Reason.NO_TARGETS.text: hears(events.TargetsChanged, targets_ne_m=()),
 }
 """What may be lost while it waits for go, by what is said of it."""
 NAMESAKE = hears(events.DuplicateId, certain=True, news=True)
 GOES_ON = hears(events.DuplicateId, certain=True, news=False)
-LOSES_LINK = hears(events.LinkLost, silent_s=30.0)
 LANDS_BY_ITSELF = now(mode=Mode.LAND, failsafe=True, obeys_modes=False)
 FENCE_CHANGES = hears(events.FenceReading, items=5010)
 FENCE_IS_READ = (hears(events.FenceChanged, zones=()), hears(events.FenceReading, items=0))
@@ -360,7 +351,8 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         now(home_nea_m=(0.0, 1e6, HOME_AMSL_M)), LED_ON, RETURN, DONE, back_by_itself,
         asked_for_no_way_home, says("home: it lies outside the map")),
     "home is told anew after a reboot": (lambda: flying(AWAY, plan=back_as_flown),
-        20.0, Craft.reboot, home_is_here, FLYING, RETURN, DONE, at_its_start),
+        20.0, Craft.reboot, lambda it: setattr(it, "home_nea_m", it.here), FLYING,  # in the air
+        RETURN, DONE, at_its_start),
     "none of the way back is proven, and no way home": (
         lambda: flying(AWAY, plan=back_by(0.0)),
         20.0, RETURN, DONE, lambda it: it.mode is Mode.RETURN and RETURNING not in it.phases,
@@ -419,7 +411,7 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         now(mode=Mode.GUIDED), 5.0, *ELSEWHERE_FOUND, is_led_nowhere,
         is_found(-50.0), 10.0, is_flying),
     "the link comes back": (lambda: flying(NEAR),
-        2.0, LOSES_LINK, Reason.LINK_LOST, PREPARING, DONE, arrives),
+        2.0, hears(events.LinkLost, silent_s=30.0), Reason.LINK_LOST, PREPARING, DONE, arrives),
     "its own hold is no person's after a restart": (under_way(),
         Craft.restart, until(lambda it: it.mode is Mode.HOLD), now(velocity=(0.0, 0.0, 0.0)),
         DONE, arrives),
@@ -434,7 +426,7 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "without its memory on the ground": (Craft,
         without_memory, DONE, ends(Reason.GROUNDED), told_nothing),
     "armed before a restart, and nobody says go": (lambda: Craft().fly_to(Phase.ARMING),
-        until(lambda it: it.armed), without_go, Craft.restart, DONE,
+        until(lambda it: it.armed), WITHOUT_GO, Craft.restart, DONE,
         lambda it: it.state.reason is Reason.NOT_READY and not it.sent(events.TakeOff),
         lambda it: len(it.sent(events.Disarm)) > 0),
     "a reboot in its landing": (landing_begun, Craft.reboot, DONE, is_down),

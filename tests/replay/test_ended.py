@@ -20,19 +20,6 @@ ERROR = "ZeroDivisionError: made up"
 STOPPED = r"at t (19\.9|20\.\d) s \(it has stood still for 2\.1 s\)"
 
 
-@pytest.fixture
-def bug(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A machine that cannot get past 20 s, in flight or in a replay."""
-    step = machine.step
-
-    def breaks(state: Any, event: Any, context: Any) -> Any:
-        if event.time_s >= 20.0:
-            raise ZeroDivisionError("made up")
-        return step(state, event, context)
-
-    monkeypatch.setattr(machine, "step", breaks)
-
-
 class Paced(ScriptedLink):
     """A vehicle that does not run away from a companion in real time."""
 
@@ -43,7 +30,6 @@ class Paced(ScriptedLink):
         return super().receive(timeout_s)
 
 
-@pytest.mark.usefixtures("bug")
 @pytest.mark.parametrize("lockstep", [True, False], ids=["in lockstep", "in real time"])
 def test_the_error_that_ended_a_flight_is_shown_again_at_its_place(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lockstep: bool
@@ -52,7 +38,15 @@ def test_the_error_that_ended_a_flight_is_shown_again_at_its_place(
 
     An error where the flight had none, and none where it had one, are differences.
     """
-    run = tmp_path / "run"
+    run, step = tmp_path / "run", machine.step
+
+    def breaks(state: Any, event: Any, context: Any) -> Any:
+        """A machine that cannot get past 20 s, in flight or in a replay."""
+        if event.time_s >= 20.0:
+            raise ZeroDivisionError("made up")
+        return step(state, event, context)
+
+    monkeypatch.setattr(machine, "step", breaks)
     link = Paced(Vehicle(lockstep=lockstep))
     end = fly_short(run, link=link, lockstep=lockstep, until_s=1e6).end
     assert (end.outcome, ERROR in end.reason) == (Outcome.FAILED, True)

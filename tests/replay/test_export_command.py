@@ -44,17 +44,12 @@ def test_it_is_written_beside_the_flight_or_where_it_is_told(
         assert shown.splitlines()[-1] == said
 
 
-def in_place_of_a_folder(run: Path) -> None:
-    shutil.rmtree(run)
-    run.write_bytes(b"a log")
-
-
 NO_FLIGHTS: dict[str, Callable[[Path], object]] = {
     "it holds no mission.toml": lambda run: (run / "mission.toml").unlink(),
     "it holds no flight.tlog": lambda run: (run / "flight.tlog").unlink(),
     "No such file": lambda run: (run / "journal.jsonl").unlink(),
     "RUN_DIR = ": shutil.rmtree,
-    "is a file": in_place_of_a_folder,
+    "is a file": lambda run: (shutil.rmtree(run), run.write_bytes(b"a log")),
 }
 FLOWN = "that is what the flight was recorded in"
 NO_PLACES = dict.fromkeys(("flight.tlog", "journal.jsonl", "../run/run.json"), FLOWN)

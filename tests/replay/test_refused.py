@@ -57,14 +57,8 @@ def empty(*names: str) -> Damage:
     return lambda run: [(run / name).write_bytes(b"") for name in names]
 
 
-def garbage_in_the_log(run: Path) -> None:
-    data = (run / "flight.tlog").read_bytes()
-    (run / "flight.tlog").write_bytes(data[:2000] + b"\0\1" * 1000 + data[4000:])
-
-
-def an_odd_line(run: Path) -> None:
-    lines = (run / "journal.jsonl").read_bytes().splitlines(keepends=True)
-    (run / "journal.jsonl").write_bytes(b"".join([*lines[:5], b"?\n", *lines[6:]]))
+def changed(name: str, change: Callable[[bytes], bytes]) -> Damage:
+    return lambda run: (run / name).write_bytes(change((run / name).read_bytes()))
 
 
 def inputs_end_with(change: Callable[[bytes], bytes]) -> Damage:
@@ -78,35 +72,28 @@ def inputs_end_with(change: Callable[[bytes], bytes]) -> Damage:
     return damage
 
 
-def a_damaged_answer(run: Path) -> None:
-    rewritten(run, lambda told: told.__setitem__(200, ("deliver", {"kind": "planned"})))
-
-
-def another_phase(run: Path) -> None:
-    path, was = run / "journal.jsonl", b'"kind":"phase","phase":"preparing"'
-    path.write_bytes(path.read_bytes().replace(was, was.replace(b"preparing", b"landing"), 1))
-
-
-def inputs(content: bytes) -> Damage:
-    return lambda run: (run / FILE).write_bytes(content)
-
-
 ENDS_EARLY = "the recording ends early: .*\nidentical\n"  # as a power cut or a kill leaves it
 NO_INPUTS = inputs_end_with(lambda rest: b"\xc1" + rest)
+OTHERS = packed([("companion-inputs", 99)])[0]
+GARBAGE = changed("flight.tlog", lambda data: data[:2000] + b"\0\1" * 1000 + data[4000:])
+ODD_LINE = changed("journal.jsonl", lambda text: re.sub(rb"\A((?:.*\n){5}).*", rb"\1?", text))
+WAS, IS = b'"kind":"phase","phase":"preparing"', b'"kind":"phase","phase":"landing"'
+PHASE = changed("journal.jsonl", lambda text: text.replace(WAS, IS, 1))
+NO_ANSWER: Input = ("deliver", {"kind": "planned"})
 DAMAGES: dict[str, tuple[Damage, int, str]] = {
     "nothing": (empty("flight.tlog", "journal.jsonl"), 2, "it holds nothing to compare a replay"),
     "no file of inputs": (lambda run: (run / FILE).unlink(), 2, "RUN_DIR = .*cannot be read"),
-    "no inputs": (inputs(b""), 2, "it does not begin like the inputs of a flight"),
-    "other inputs": (inputs(packed([("companion-inputs", 99)])[0]), 2, "reads version 1"),
-    "another phase": (another_phase, 1, "phase.phase: recorded 'landing', replayed 'preparing'"),
+    "no inputs": (empty(FILE), 2, "it does not begin like the inputs of a flight"),
+    "other inputs": (changed(FILE, lambda _: OTHERS), 2, "reads version 1"),
+    "another phase": (PHASE, 1, "phase.phase: recorded 'landing', replayed 'preparing'"),
     "no frame": (empty("flight.tlog"), 0, "no frame was compared: flight.tlog holds none"),
-    "a line that is no JSON": (an_odd_line, 1, "kind: recorded b'.\\\\n'.*Companion .* flew"),
-    "garbage in the log": (garbage_in_the_log, 2, "up to there.* bytes of flight.tlog that are no"),
+    "a line that is no JSON": (ODD_LINE, 1, "kind: recorded b'.\\\\n'.*Companion .* flew"),
+    "garbage in the log": (GARBAGE, 2, "up to there.* bytes of flight.tlog that are no"),
     "garbage in the inputs": (NO_INPUTS, 2, "identical up to there.*bytes that are no inputs"),
     "a hole": (inputs_end_with(lambda _: bytes(5000)), 0, ENDS_EARLY),
     "a torn input": (inputs_end_with(lambda rest: rest[:9]), 0, ENDS_EARLY),
     "a damaged input": (
-        a_damaged_answer,
+        lambda run: rewritten(run, lambda told: told.__setitem__(200, NO_ANSWER)),
         2,
         "identical up to there.*RUN_DIR = .*is damaged .an answer of the planner that is none",
     ),

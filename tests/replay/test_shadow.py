@@ -13,8 +13,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import missions
+import held
 import pytest
+from missions import mission
 from msgspec import structs, to_builtins
 from recordings import recording
 from rich.console import Console
@@ -37,11 +38,6 @@ POSITION = wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 GPS = wire.MAVLINK_MSG_ID_GPS_RAW_INT
 EKF = wire.MAVLINK_MSG_ID_EKF_STATUS_REPORT
 Records = Iterable[Record]
-
-
-def mission(name: str, **changes: Any) -> Mission:
-    """With a search that takes no time."""
-    return replace(missions.mission(name, evaluations=100), **changes)
 
 
 @functools.cache
@@ -243,17 +239,6 @@ def test_a_healthy_flight_is_watched_without_a_hold_and_none_is_ever_commanded(n
 # --- plans
 
 
-def track_of(name: str) -> list[tuple[float, float, float, float]]:
-    """Time, latitude, longitude and altitude, of the vehicle's own positions."""
-    records = list(recorded(name))
-    return [
-        ((record.time_us - records[0].time_us) * 1e-6, m.lat * 1e-7, m.lon * 1e-7, m.alt * 1e-3)
-        for record in records
-        if number_of(record.frame) == POSITION and sender_of(record.frame) == VEHICLE
-        for m in Receiver().feed(record.frame)
-    ]
-
-
 def test_it_plans_where_the_vehicle_is_and_only_where_that_is_to_be_believed(
     tmp_path: Path,
 ) -> None:
@@ -275,12 +260,12 @@ def test_it_plans_where_the_vehicle_is_and_only_where_that_is_to_be_believed(
     assert "flown track off its own paths" in text_of(report)
     # the last one was to be answered when it had let go
     assert [asked.outcome for asked in plans] == ["ready"] * len(others) + ["given up"]
-    track = track_of(PX4)
+    track = [each for each in held.recorded(PX4) if each[1].get_msgId() == POSITION]
     for asked in plans:
-        _, *at = min(track, key=lambda each, at_s=asked.at_s + 40.0: abs(each[0] - at_s))
+        _, m = min(track, key=lambda each, at_s=asked.at_s + 40.0: abs(each[0] - at_s))
         found = [getattr(asked.place, name) for name in asked.place.__struct_fields__]
-        assert found[:2] == pytest.approx(at[:2], abs=3e-5)
-        assert found[2] == pytest.approx(at[2], abs=1.0)
+        assert found[:2] == pytest.approx([m.lat * 1e-7, m.lon * 1e-7], abs=3e-5)
+        assert found[2] == pytest.approx(m.alt * 1e-3, abs=1.0)
     offs = [asked.off for asked in plans[:-1]]
     for off, after in itertools.pairwise(offs):
         assert 0.0 < off.rms_m <= off.max_m <= 6.5 * 6.5

@@ -16,10 +16,8 @@ from companion.mavlink.dialect import Message
 from companion.telemetry.logs import Log, Odd, open_log
 
 LOGS = [recording(name) for name in NAMES if name.endswith(".tlog")]
-COPTER, PLANE, PX4 = (
-    *("arducopter-gps-loss", "arduplane-guided-reposition"),
-    "px4-offboard-short",  # the .ulg was recorded beside the .tlog, a .bin is made of that
-)
+COPTER, PLANE = "arducopter-gps-loss", "arduplane-guided-reposition"
+PX4 = "px4-offboard-short"  # the .ulg was recorded beside the .tlog, a .bin is made of that
 NIGHTLY = pytest.param(PLANE, marks=pytest.mark.nightly)
 EACH = pytest.mark.parametrize("name", [COPTER, NIGHTLY, PX4])
 FIX = "time_usec fix_type lat lon alt eph epv vel satellites_visible h_acc"

@@ -315,8 +315,6 @@ ANY_STAMP = st.one_of(
     st.integers(EPOCH_US, EPOCH_US + 10_000_000),
     st.sampled_from([0, 1, YEAR_2000_US, YEAR_2100_US - 1, EPOCH_US - HOUR]),
 )
-
-
 SLOWEST_S = 2.0
 """A log that takes longer, by the time of this process alone, and a millisecond for each ten of its
 bytes, is called a hang: honest ones take 3 microseconds a byte at most."""

@@ -89,51 +89,46 @@ TRACKS = {
             *(begun("flying", 100.0), events.Rebooted(time_s=0.4)),
             *(begun("preparing", 0.4), begun("holding", 0.6)),
         ],
-        "99.0 waiting, 100.0 flying, 101.0 flying, 0.5 preparing, 0.6 holding",
-        "reboot at 101.0, hold at 0.6",
+        "99.0 waiting, 100.0 flying, 101.0 flying, 0.5 preparing, 0.6 holding, reboot at 101.0, "
+        "hold at 0.6",
     ),
     "a reboot while no companion ran is seen by the clock": (
         (1000.0, 1001.0, 5.0),
         [header(), begun("flying", 1000.0), header(resumed=1), begun("preparing", 5.0)],
         "1000.0 flying, 1001.0 flying, 5.0 preparing",
-        "",
     ),
     # it waited nine seconds for a vehicle that had been on for two
     "before it knew the clock it counts from the first position": (
         (2.0, 3.0),
         [begun("preparing", 9.0), begun("arming", 3.0)],
         "2.0 waiting, 3.0 arming",
-        "",
     ),
     "a reboot before the first fix counts, too": (
         (position(50.0, lat=0, lon=0), 2.0, 3.0),
         [begun("preparing", 50.0), events.Rebooted(time_s=1.0), begun("flying", 3.0)],
-        "2.0 preparing, 3.0 flying",
-        "reboot at 2.0",
+        "2.0 preparing, 3.0 flying, reboot at 2.0",
     ),
     "a single fall of the clock is a mistake": (
         (100.0, 100.1, 3.0, 100.2, 100.3),
         [],
         "100.0 waiting, 100.1 waiting, 100.2 waiting, 100.3 waiting",
-        "",
     ),
     "positions in no order are no reboot": (
         (5.0, 4.5, 5.1),
         [],
         "5.0 waiting, 4.5 waiting, 5.1 waiting",
-        "",
     ),
 }
 
 
 @pytest.mark.parametrize("what", TRACKS)
 def test_phases_and_moments_are_those_of_their_times_and_boots(what: str) -> None:
-    times_s, entries, phases, moments = TRACKS[what]
+    times_s, entries, told = TRACKS[what]
     found = flight(*times_s, entries=entries)
     decided = zip(found.track.t_s, found.decided_at(found.times_s), strict=True)
-    assert ", ".join(f"{t_s:.1f} {each.phase}" for t_s, each in decided) == phases
+    words = [f"{t_s:.1f} {each.phase}" for t_s, each in decided]
     at = ((m.what, found.track.t_s[found.row_at(m.time_s)]) for m in found.moments)
-    assert ", ".join(f"{kind} at {t_s:.1f}" for kind, t_s in at) == moments
+    assert ", ".join([*words, *(f"{kind} at {t_s:.1f}" for kind, t_s in at)]) == told
     parts = [(name, part.start, part.stop) for name, part in found.segments()]
     assert sum(stop - start for _, start, stop in parts) == len(found.track)
 
