@@ -46,13 +46,8 @@ def flown_to(phase: Phase) -> Pair:
     return it if phase is Phase.WAITING else it.fly_to(phase)
 
 
-@cache
-def _on_its_way() -> Pair:
-    return pair().fly_out()
-
-
 def flying() -> Pair:
-    return deepcopy(_on_its_way())
+    return deepcopy(flown_to(Phase.FLYING))
 
 
 def times(it: Pair, kind: str) -> list[float]:
@@ -189,10 +184,8 @@ def test_the_only_vehicle_that_is_heard_three_times_is_ours_or_the_one_that_the_
 ) -> None:
     """Of two vehicles none is taken, and both are told of; no other vehicle is told anything."""
     session = Session(replace(MISSION, system_id=named), seed=1, lockstep=False)
-    it, vehicles = (
-        Pair(session, Vehicle(lockstep=False)),
-        [Vehicle(lockstep=False) for _ in systems],
-    )
+    vehicles = [Vehicle(lockstep=False) for _ in systems]
+    it = Pair(session, Vehicle(lockstep=False))
     for vehicle, system in zip(vehicles, systems, strict=True):
         vehicle.autopilot.srcSystem = system
     for vehicle in heartbeats * vehicles:
@@ -439,7 +432,7 @@ def test_hold_frames_and_a_farewell_put_a_vehicle_that_flies_for_us_on_hold() ->
 @pytest.mark.parametrize("phase", [Phase.FLYING, Phase.LANDING])
 def test_who_lands_it_in_the_moment_of_the_end_is_not_overruled(phase: Phase) -> None:
     """But a landing of ours, which a person has broken off, is told to stop until it does."""
-    it = deepcopy(flown_to(Phase.FLYING))
+    it = flying()
     if phase is Phase.LANDING:
         it.ask(wire.MAV_CMD_NAV_LAND)
         it.fly_to(phase)
