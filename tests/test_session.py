@@ -46,8 +46,13 @@ def flown_to(phase: Phase) -> Pair:
     return it if phase is Phase.WAITING else it.fly_to(phase)
 
 
+@cache
+def _on_its_way() -> Pair:
+    return pair().fly_out()
+
+
 def flying() -> Pair:
-    return deepcopy(flown_to(Phase.FLYING))
+    return deepcopy(_on_its_way())
 
 
 def times(it: Pair, kind: str) -> list[float]:
@@ -432,7 +437,7 @@ def test_hold_frames_and_a_farewell_put_a_vehicle_that_flies_for_us_on_hold() ->
 @pytest.mark.parametrize("phase", [Phase.FLYING, Phase.LANDING])
 def test_who_lands_it_in_the_moment_of_the_end_is_not_overruled(phase: Phase) -> None:
     """But a landing of ours, which a person has broken off, is told to stop until it does."""
-    it = flying()
+    it = deepcopy(flown_to(Phase.FLYING))
     if phase is Phase.LANDING:
         it.ask(wire.MAV_CMD_NAV_LAND)
         it.fly_to(phase)
