@@ -1,22 +1,23 @@
 """What tests of curves, costs and plans begin with."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.optimize import brentq
 
+from companion.geodesy import FloatArray
 from companion.mavlink.autopilots import named
 from companion.path.limits import Limits
 from companion.path.subpath import Subpath
 from companion.planner.offline import OfflineFlight, TerrainRadar, fly_offline
 from companion.planner.plan import plan
 from companion.planner.procedure import Leg, hover_pose
-from companion.planner.request import PlanRequest
+from companion.planner.request import NotPlanned, Planned, PlanRequest
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.radars import Radar
@@ -25,8 +26,6 @@ from companion.world.terrain import Peak, PeakTerrain
 from companion.world.zones import CircleZone, PolygonZone, Zone
 
 ARDUCOPTER = named("ardupilot", "copter").traits.handling
-
-FloatArray = NDArray[np.float64]
 
 _CHUNK = 50  # points whose columns are looked at together
 
@@ -98,6 +97,18 @@ def ask(
     return replace(request, **changes)
 
 
+def planned(request: PlanRequest) -> Planned:
+    outcome = plan(request)  # of this module: it may be asked a little aside (tests/nudge.py)
+    assert isinstance(outcome, Planned)
+    return outcome
+
+
+def refused(request: PlanRequest) -> NotPlanned:
+    outcome = plan(request)
+    assert isinstance(outcome, NotPlanned)
+    return outcome
+
+
 def fly(
     task: Task,
     truth: KnownMap,
@@ -116,7 +127,6 @@ def fly(
         start_nea_m=start_nea_m,
         targets_ne_m=targets_ne_m,
         seed=seed,
-        # of this module: it may be asked a little aside (tests/nudge.py)
         planner=keywords.pop("planner", plan),
         **keywords,
     )
@@ -125,6 +135,17 @@ def fly(
 def hills(*rows: tuple[float, ...], ground_m: float = 0.0) -> PeakTerrain:
     """Peaks by north, east, height and their spreads to the north and east."""
     return PeakTerrain(peaks=tuple(Peak(*row) for row in rows), ground_amsl_m=ground_m)
+
+
+def radar(north_m: float, east_m: float, range_m: float) -> Radar:
+    """One that stands at 0 m."""
+    return Radar(name="radar", centre_nea_m=(north_m, east_m, 0.0), range_m=range_m)
+
+
+def circle(north_m: float, east_m: float, radius_m: float, *, keep_in: bool = False) -> CircleZone:
+    return CircleZone(
+        name="circle", north_m=north_m, east_m=east_m, radius_m=radius_m, keep_in=keep_in
+    )
 
 
 # --- a small world: hills of 300 to 900 m on 8 km x 8 km, a vehicle of 15 m/s
@@ -232,6 +253,17 @@ def zone_distance_m(zone: Zone, north_m: FloatArray, east_m: FloatArray) -> Floa
         turns = np.nan_to_num(np.angle(np.roll(seen, -1, axis=1) / seen).sum(axis=1)) / math.tau
     inside = np.round(turns) % 2 == 1
     return np.where(inside != zone.keep_in, -nearest, nearest)
+
+
+def zones_distance_m(zones: Iterable[Zone], places: FloatArray) -> FloatArray:
+    """That to the nearest of them, seen from above; without any endless.  (K, 2 or 3) -> (K,)."""
+    gaps = [zone_distance_m(zone, places[:, 0], places[:, 1]) for zone in zones]
+    return np.asarray(np.min([np.full(len(places), np.inf), *gaps], axis=0))
+
+
+def over(values: FloatArray, least: float, most: float) -> FloatArray:
+    """How far they are beyond their bounds."""
+    return np.asarray(np.maximum(values - most, 0.0) + np.maximum(least - values, 0.0))
 
 
 def column_distance_m(known: KnownMap, points: FloatArray, within_m: float = np.inf) -> FloatArray:

@@ -14,7 +14,7 @@ import tomllib
 import venv
 import zipfile
 from collections.abc import Iterator
-from importlib.metadata import Distribution, packages_distributions
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
@@ -79,12 +79,6 @@ def test_both_distributions_have_all_that_they_need_and_nothing_else(source: Pat
     assert {"README.md", "CHANGELOG.md", "LICENSE", "requirements/dev.txt"} <= files(source, ".")
 
 
-def top_level(package: Distribution) -> set[Path]:
-    """The files and folders of a package in the folder that it is installed in."""
-    names = {each.parts[0] for each in package.files or () if each.parts[0] != ".."}
-    return {Path(str(package.locate_file(name))) for name in names - {"__pycache__"}}
-
-
 class OrdinaryUser:
     """Somebody with a home that is read-only and a folder to work in."""
 
@@ -123,7 +117,8 @@ def user(source: Path, folder: Path) -> OrdinaryUser:
     venv.create(environment, symlinks=True)
     [packages] = environment.glob("lib/python*/site-packages")
     for package in needed(PROJECT["dependencies"]).values():
-        for path in top_level(package):
+        names = {each.parts[0] for each in package.files or ()} - {"..", "__pycache__"}
+        for path in (Path(str(package.locate_file(name))) for name in names):
             if not (packages / path.name).exists():
                 (packages / path.name).symlink_to(path)
     pip = [sys.executable, "-m", "pip", f"--python={environment}/bin/python", "install", "-q"]

@@ -189,10 +189,8 @@ def test_the_only_vehicle_that_is_heard_three_times_is_ours_or_the_one_that_the_
 ) -> None:
     """Of two vehicles none is taken, and both are told of; no other vehicle is told anything."""
     session = Session(replace(MISSION, system_id=named), seed=1, lockstep=False)
-    it, vehicles = (
-        Pair(session, Vehicle(lockstep=False)),
-        [Vehicle(lockstep=False) for _ in systems],
-    )
+    vehicles = [Vehicle(lockstep=False) for _ in systems]
+    it = Pair(session, Vehicle(lockstep=False))
     for vehicle, system in zip(vehicles, systems, strict=True):
         vehicle.autopilot.srcSystem = system
     for vehicle in heartbeats * vehicles:

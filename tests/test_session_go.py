@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import all as wire
-from scripted_vehicle import MISSION, Pair, Vehicle, straight_plan
-from test_loop import ScriptedLink
+from scripted_vehicle import MISSION, Pair, ScriptedLink, Vehicle, straight_plan
 
 from companion.mavlink import preflight
 from companion.mavlink.link import Output

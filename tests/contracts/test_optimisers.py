@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from companion.geodesy import FloatArray
 from companion.optimise.loop import Ranked, minimise
 from companion.optimise.registry import OPTIMISERS
 
-FloatArray = NDArray[np.float64]
 Objective = Callable[[FloatArray], FloatArray]
 
 PAPERS = ("improved-de", "de/rand/1/bin", "pso", "ga")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planning import ARDUCOPTER, BENT, drawn_zones, spline, zone_distance_m
+from planning import ARDUCOPTER, BENT, drawn_zones, over, spline, zone_distance_m
 
 from companion import jit, objective
 from companion.geodesy import FloatArray
@@ -152,10 +152,6 @@ def height_m(surface: Surface, points: FloatArray) -> FloatArray:
     return surface.altitude_m(points[..., 0], points[..., 1])
 
 
-def over(values: FloatArray, least: float, most: float) -> FloatArray:
-    return np.asarray(np.maximum(values - most, 0.0) + np.maximum(least - values, 0.0))
-
-
 def expected(control: FloatArray, scene: Scene, zones: tuple[Zone, ...]) -> dict[str, float]:
     """The terms of one candidate, from samples of scipy's curve."""
     curve, count, it = spline(control), len(scene.at.flown_m) - 1, scene.motion
@@ -190,11 +186,12 @@ def expected(control: FloatArray, scene: Scene, zones: tuple[Zone, ...]) -> dict
     gaps_m = np.array([zone_distance_m(zone, *thirds[:, :2].T) for zone in zones])
     near = np.maximum(scene.clearance_m - gaps_m, 0.0).sum() / 3.0
     steering += 100.0 * (outside.sum() / (R_M / 20.0) + near / scene.clearance_m)
+    offset = complex(*(control[-1, :2] - scene.scan_ne_m)) * cmath.exp(-1j * scene.guide_rad)
     short_m = max(1.06 * scene.shortest_m - chords_m.sum(), 0.0)
     return {
         "length": (chords_m.sum() + slowed_m) * per_metre,
         "height": 100.0 * np.maximum(up - low, 0.0).mean() / (high - low),
-        "guide": 0.0 if scene.is_final else 20.0 / math.pi * off_guide_rad(control, scene),
+        "guide": 0.0 if scene.is_final else 20.0 / math.pi * abs(cmath.phase(offset)),
         "crash": 100.0 * each * crash_m / scene.safety_distance_m,
         "radar": 30.0 * each * seen.sum(),
         "constraints": each * steering + 1_000.0 * short_m / R_M,
@@ -219,11 +216,6 @@ def dead_man_m(points: FloatArray, first: FloatArray, chords_m: FloatArray, scen
     tangent[:, 2] = np.minimum(tangent[:, 2], 0.0)  # no higher than level
     ends = points[samples] + np.array([0.5, 1.0])[:, None, None] * reach[:, None] * tangent
     return float(np.maximum(height_m(scene.contact, ends) - ends[..., 2], 0.0).sum())
-
-
-def off_guide_rad(control: FloatArray, scene: Scene) -> float:
-    offset = complex(*(control[-1, :2] - scene.scan_ne_m))
-    return abs(cmath.phase(offset * cmath.exp(-1j * scene.guide_rad)))
 
 
 def to_go_m(control: FloatArray, scene: Scene) -> float:

@@ -39,12 +39,6 @@ def run(cost: float, aside_m: float = 0.0, **changes: Any) -> Run:
     return Run(**values | changes)
 
 
-def row(*costs: list[float]) -> list[Outcome]:
-    """The four algorithms of the first row of the table."""
-    runs = (tuple(map(run, each)) for each in costs)
-    return [Outcome(case=case, runs=each) for case, each in zip(TABLE.cases, runs, strict=False)]
-
-
 def called(*words: str) -> str:
     """What a command prints."""
     runner = CliRunner(env={"COLUMNS": "80"})
@@ -95,7 +89,8 @@ def test_only_costs_that_lie_apart_noticeably_are_surely_less() -> None:
         ([1.0, 2.0, 3.0], more, True), ([1.0, 2.0, 3.0], few, False),  # by chance once in 35, 20
         ([100.0] * 20, [101.0] * 20, True), ([100.0] * 20, [100.1] * 20, False),  # sure, but 0.1 %
     ):  # fmt: skip
-        assert surely_less(*row(one, other)) is is_less
+        runs = (tuple(map(run, each)) for each in (one, other))
+        assert surely_less(*(Outcome(case=TABLE.cases[0], runs=each) for each in runs)) is is_less
 
 
 # --- Fig. 3 and Fig. 4

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from planning import ask, hills
+from planning import ask, hills, radar
 
 from companion.paper.compare.missions import Case, as_published, fly_all, violations
 from companion.paper.guide import tangent_guide_rad
@@ -20,7 +20,6 @@ from companion.planner.procedure import hover_pose
 from companion.planner.request import Planned
 from companion.planning import plan
 from companion.world.known_map import KnownMap, empty_map
-from companion.world.radars import Radar
 from companion.world.simulated import true_map
 
 
@@ -88,10 +87,7 @@ def test_of_what_is_flown_just_so_much_breaks_each_bound() -> None:
     far = np.array([200e3, 0.0, 3_000.0])
     flown = [(level, 15e3), (2_700.0 * quarter + far, 1e4), (2_300.0 * quarter + far, 1e4)]
     seen, not_come_to = (10e3, 2e3, 6e3), (20e3, 0.0, 5e3)
-    radars = tuple(
-        Radar(name="r", centre_nea_m=(n, e, 0.0), range_m=range_m)
-        for n, e, range_m in (seen, seen, not_come_to)
-    )
+    radars = tuple(radar(*each) for each in (seen, seen, not_come_to))
     world = as_published("environment-1")
     ridge = hills((10e3, 0.0, 3_000.0, 4e3, 1e9))  # along the way h = 3000 exp(-(x / 4 km)^2)
     world = replace(world, task=replace(world.task, radars=radars), terrain=ridge)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planning import BENT, spline, zone_distance_m
+from planning import BENT, over, radar, spline, zone_distance_m
 from scipy.sparse.csgraph import connected_components
 
 from companion.geodesy import FloatArray
@@ -67,10 +67,6 @@ def a_scene(seed: int, weights: Weights | None = None) -> Scene:
 
 
 # --- the paper's equations for one candidate
-
-
-def over(value: FloatArray, least: float, most: float) -> FloatArray:
-    return np.asarray(np.maximum(value - most, 0.0) + np.maximum(least - value, 0.0))
 
 
 def expected(control: FloatArray, scene: Scene) -> dict[str, float]:
@@ -144,10 +140,6 @@ def test_six_variables_are_the_control_points_of_sections_2_4_and_2_5(
 
 
 # --- the guide of section 2.6
-
-
-def radar(north: float, east: float, range_m: float) -> Radar:
-    return Radar(name=f"{north:.0f}/{east:.0f}", centre_nea_m=(north, east, 0.0), range_m=range_m)
 
 
 def tangent_bearings(s: Place, r: Radar) -> list[float]:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import planning
-from planning import ARDUCOPTER, drawn_zones, spline
+from planning import ARDUCOPTER, drawn_zones, spline, zones_distance_m
 from scipy.optimize import minimize, minimize_scalar
 
 from companion.geodesy import FloatArray
@@ -21,9 +21,7 @@ from companion.path.proof import Surroundings
 from companion.path.subpath import Subpath
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
-from companion.world.radars import Radar
 from companion.world.simulated import true_map
-from companion.world.zones import Zone
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,10 +95,8 @@ def random_case(rng: np.random.Generator) -> Case:
     settings = PlannerSettings(
         scan_range_m=size, safety_distance_m=scale.distance_m, planning_time_s=1.0
     )
-    radars = tuple(
-        Radar(name="r", centre_nea_m=(*rng.uniform(0, size, 2), 0.0), range_m=0.15 * size)
-        for _ in range(rng.integers(0, 3))
-    )
+    count = int(rng.integers(0, 3))
+    radars = tuple(planning.radar(*rng.uniform(0, size, 2), 0.15 * size) for _ in range(count))
     handling = replace(ARDUCOPTER, settling_s=0.4)
     return Case(
         control_nea_m=_control(rng, size, scale.distance_m + scale.error_m, known),
@@ -164,13 +160,6 @@ def column_distance_m(
     return np.minimum(planning.column_distance_m(known, points_nea_m, within_m), edge)
 
 
-def zones_m(zones: tuple[Zone, ...], points_nea_m: FloatArray) -> FloatArray:
-    """Distance of points, seen from above, from the nearest zone.  (S, 3) -> (S,)."""
-    n, e, _ = points_nea_m.T
-    gaps = [planning.zone_distance_m(zone, n, e) for zone in zones]
-    return np.asarray(np.min([np.full(len(n), np.inf), *gaps], axis=0))
-
-
 def terrain_m(case: Case, points_nea_m: FloatArray, within_m: float = np.inf) -> FloatArray:
     """Distance of the vehicle, or of its circle, from the terrain.  (S, 3) -> (S,)."""
     turn, loiter_m = np.linspace(0.0, 2.0 * np.pi, 24), case.task.limits.loiter_radius_m
@@ -222,7 +211,7 @@ def truth(case: Case, samples: int = 200) -> Truth:
     clearance = _least(lambda at, far=far_m: terrain_m(case, curve(at), far), u)
     keep_out = np.inf
     for zone in case.task.zones:
-        gap_m = _least(lambda at, _=0.0, z=zone: zones_m((z,), curve(at)), u)  # type: ignore[misc]
+        gap_m = _least(lambda at, _=0.0, z=zone: zones_distance_m((z,), curve(at)), u)  # type: ignore[misc]
         keep_out = min(keep_out, gap_m)
     keep_out -= limits.loiter_radius_m
     fine = np.linspace(0.0, 1.0, 3_001)
@@ -337,7 +326,7 @@ def _dead_man(case: Case, spline: Any, fine: FloatArray, lengths: FloatArray) ->
         points: FloatArray, far: float = 4.0 * case.task.required_clearance_m
     ) -> FloatArray:
         return np.minimum(
-            column_distance_m(case.known, points, far), zones_m(case.task.zones, points)
+            column_distance_m(case.known, points, far), zones_distance_m(case.task.zones, points)
         )
 
     u, share = (grid.ravel() for grid in np.meshgrid(np.linspace(0, 1, 50), np.linspace(0, 1, 14)))

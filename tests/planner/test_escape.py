@@ -4,15 +4,15 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import planning
 import pytest
 from brute_force import violations
-from planning import BLANK, TASK, TRUTH, ask, column_distance_m, spline, zone_distance_m
+from planning import TASK, TRUTH, ask, circle, column_distance_m, planned, spline, zone_distance_m
 
 from companion.geodesy import FloatArray
-from companion.planner.plan import plan
-from companion.planner.request import NotPlanned, Planned, Refusal
+from companion.planner.request import Planned, Refusal
 from companion.planner.settings import Task
-from companion.world.zones import CircleZone, PolygonZone, Zone
+from companion.world.zones import PolygonZone, Zone
 
 REQUIRED_M = 70.0  # d_s 60 m, tracking 5 m, navigation 5 m
 HERE = (6_500.0, 1_500.0, 600.0)  # over the plain
@@ -20,8 +20,7 @@ HERE = (6_500.0, 1_500.0, 600.0)  # over the plain
 
 def escaped(task: Task, start: tuple[float, float, float]) -> tuple[Planned, FloatArray]:
     """The plan and points of it, none nearer to the ground than its start, the last one clear."""
-    outcome = plan(ask(task, TRUTH, start))
-    assert isinstance(outcome, Planned)
+    outcome = planned(ask(task, TRUTH, start))
     assert outcome.certificate.proven
     assert not outcome.reaches_target
     points = np.asarray(spline(outcome.subpath.control_nea_m)(np.linspace(0.0, 1.0, 500)))
@@ -41,31 +40,24 @@ def test_from_beside_a_slope_it_comes_no_nearer_and_where_it_ends_a_plan_begins(
     line = np.array([3_000.0, 2_600.0, 450.0]) + far[:, None] * [math.cos(turn), math.sin(turn), 0]
     start = line[column_distance_m(TRUTH, line, 200.0) >= now_m][0].tolist()
     _, points = escaped(TASK, tuple(start))
-    after = plan(ask(TASK, TRUTH, tuple(points[-1].tolist())))
-    assert isinstance(after, Planned)
+    after = planned(ask(TASK, TRUTH, tuple(points[-1].tolist())))
     assert after.evaluations > 0
     assert violations(after.subpath.control_nea_m, TASK, TRUTH, from_rest=True) == []
 
 
 def test_where_there_is_no_way_out_the_reason_is_what_is_around() -> None:
-    pit = replace(BLANK, upper_m=np.full_like(BLANK.upper_m, 5_000.0), seen=~BLANK.seen)
+    pit = replace(TRUTH, upper_m=np.full_like(TRUTH.upper_m, 5_000.0))
     for floor in (slice(40, 42), slice(290, 310)):  # where it is, and where the target is
         pit.upper_m[floor, floor] = 100.0
     is_floor = pit.upper_m < 5_000.0
     hidden = replace(pit, upper_m=np.where(is_floor, 100.0, np.inf), seen=is_floor)
-    near = replace(TASK, settings=replace(TASK.settings, cell_m=BLANK.cell_m))
+    near = replace(TASK, settings=replace(TASK.settings, cell_m=TRUTH.cell_m))
     for task, known, refusal in (
         (TASK, pit, Refusal.START_NEAR_TERRAIN),
         (TASK, hidden, Refusal.START_NEAR_UNKNOWN),
         (near, pit, Refusal.START_NEAR_THINGS),
     ):
-        outcome = plan(ask(task, known, (1_025.0, 1_025.0, 450.0)))
-        assert isinstance(outcome, NotPlanned)
-        assert outcome.refusal is refusal
-
-
-def circle(north: float, east: float, radius: float, *, keep_in: bool = False) -> CircleZone:
-    return CircleZone(name="z", north_m=north, east_m=east, radius_m=radius, keep_in=keep_in)
+        assert planning.refused(ask(task, known, (1_025.0, 1_025.0, 450.0))).refusal is refusal
 
 
 def bar(south: float, north: float, west: float = 700.0, east: float = 2_300.0) -> PolygonZone:

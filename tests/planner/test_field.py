@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy
 import shapely
-from planning import LARGE
+from planning import LARGE, circle, radar
 
 from companion.geodesy import FloatArray
 from companion.jit import compiled
@@ -20,7 +20,7 @@ from companion.planner.settings import PlannerSettings, Task
 from companion.world.columns import Surface
 from companion.world.known_map import KnownMap, Scan, empty_map
 from companion.world.radars import Radar
-from companion.world.zones import CircleZone, Zone
+from companion.world.zones import Zone
 
 Place = tuple[float, float]
 
@@ -56,14 +56,6 @@ FREE, CLEAR_M = a_map(TASK), TASK.search_clearance_m
 NORTH, EAST = FREE.middles_m()
 
 
-def radar(north: float, east: float, range_m: float) -> Radar:
-    return Radar(name="radar", centre_nea_m=(north, east, 0.0), range_m=range_m)
-
-
-def circle(north: float, east: float, radius_m: float) -> CircleZone:
-    return CircleZone(name="circle", north_m=north, east_m=east, radius_m=radius_m)
-
-
 def value(field: CostToGo, place: Place) -> float:
     return float(field.value.altitude_m(np.array(place[0]), np.array(place[1])))
 
@@ -83,15 +75,6 @@ STEP_M = 10.0
 NEIGHBOURS = [
     (i, j) for i, j in itertools.product(range(-4, 5), repeat=2) if math.gcd(i, j) == 1
 ]  # up to four points away, and no two in one direction
-
-
-def a_grid(rng: np.random.Generator, rows: int, columns: int) -> Grid:
-    """Level ground, walls and hills."""
-    grid = Grid.empty(rows, columns, STEP_M)
-    count = len(grid.cost)
-    grid.cost[:] = 1.0 + rng.choice([0.0, 0.0, 0.3, 1.0], count)
-    grid.cost[rng.random(count) < 0.05] += 300.0
-    return grid
 
 
 def edge_m(grid: Grid, begin: tuple[int, int], end: tuple[int, int]) -> float:
@@ -123,7 +106,9 @@ def dijkstra(grid: Grid, seeds: dict[int, float]) -> FloatArray:
 def test_costs_and_ways_are_those_of_another_dijkstra_over_the_same_edges(seed: int) -> None:
     """Where nothing has changed nothing is looked at."""
     rng, everywhere = np.random.default_rng(seed), np.ones((9, 13), dtype=bool)
-    grid = a_grid(rng, *everywhere.shape)
+    grid = Grid.empty(*everywhere.shape, STEP_M)  # level ground, hills, and then walls
+    grid.cost[:] = 1.0 + rng.choice([0.0, 0.0, 0.3, 1.0], len(grid.cost))
+    grid.cost[rng.random(len(grid.cost)) < 0.05] += 300.0
     seeds = {int(u): float(rng.uniform(1.0, 90.0)) for u in rng.integers(0, 9 * 13, 3)}
     seed_m = np.full(9 * 13, np.inf)
     seed_m[list(seeds)] = list(seeds.values())
@@ -268,10 +253,6 @@ def a_scan(scanned: np.ndarray, rng: np.random.Generator) -> Scan:
     )  # fmt: skip
 
 
-def nearer(rng: np.random.Generator) -> Place:
-    return float(rng.uniform(5e3, 30e3)), float(rng.uniform(5e3, 30e3))
-
-
 @pytest.mark.parametrize("seed", range(12))
 def test_what_is_remembered_changes_no_answer_and_all_answers_are_numbers(
     seed: int, monkeypatch: pytest.MonkeyPatch
@@ -287,7 +268,8 @@ def test_what_is_remembered_changes_no_answer_and_all_answers_are_numbers(
         task = replace(task, settings=replace(task.settings, cell_m=task.cell_m))
     memory, target = Memory(), (58e3, 57e3)
     for step in range(12):
-        here = tuple(rng.uniform(-80e3, 140e3, 2).tolist()) if step % 6 == 5 else nearer(rng)
+        near_m = (-80e3, 140e3) if step % 6 == 5 else (5e3, 30e3)
+        here: Place = rng.uniform(*near_m), rng.uniform(*near_m)
         kind, at = rng.integers(0, 5), rng.uniform(0.0, 60e3, 2)
         scanned = np.hypot(NORTH - at[0], EAST - at[1]) < rng.uniform(0.0, 8e3)
         if kind == 0:  # a map that does not tell what has changed

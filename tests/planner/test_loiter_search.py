@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from planning import PLANE_TASK, jagged, zone_distance_m
+from planning import PLANE_TASK, circle, jagged, zones_distance_m
 
 from companion.geodesy import FloatArray
 from companion.planner import loiter_search
 from companion.planner.loiter_search import Vector, loiter_point
 from companion.world.known_map import KnownMap, empty_map
-from companion.world.zones import CircleZone, PolygonZone, Zone, gaps_m
+from companion.world.zones import PolygonZone, Zone, gaps_m
 
 Motion = tuple[Vector, Vector]  # where a plane is, and its velocity
 V, TURN_M, LOITER_M = 18.0, 100.0, 80.0
@@ -30,13 +30,8 @@ def flat() -> KnownMap:
     return replace(blank, upper_m=np.zeros_like(blank.upper_m), seen=np.ones_like(blank.seen))
 
 
-def disc(radius_m: float, north_m: float = 0.0, east_m: float = 0.0) -> CircleZone:
-    return CircleZone(name="new", north_m=north_m, east_m=east_m, radius_m=radius_m)
-
-
-def gap_m(zones: tuple[Zone, ...], north: float, east: float) -> float:
-    at = np.array([north]), np.array([east])
-    return min(float(zone_distance_m(zone, *at)[0]) for zone in zones)
+def gap_m(zones: tuple[Zone, ...], *place_ne_m: float) -> float:
+    return float(zones_distance_m(zones, np.array([place_ne_m]))[0])
 
 
 def flown_m(zones: tuple[Zone, ...], circler: Motion, to: Vector, radius_m: float) -> list[float]:
@@ -68,8 +63,7 @@ def heading(course_deg: float, north_m: float = 0.0, altitude_m: float = HEIGHT_
 
 
 def a_circle(rng: np.random.Generator) -> tuple[Zone, ...]:
-    place = rng.uniform(-250.0, 250.0, 2).tolist()
-    return (disc(float(rng.uniform(50.0, 150.0)), *place),)
+    return (circle(*rng.uniform(-250.0, 250.0, 2).tolist(), rng.uniform(50.0, 150.0)),)
 
 
 def polygons(rng: np.random.Generator, count: int = 10, corners: int = 60) -> tuple[Zone, ...]:
@@ -105,14 +99,14 @@ def test_it_stays_only_where_it_can_turn_to_either_side(course_deg: int, side: f
     """The circle about where it is would be clear; the turn that brings it there is not."""
     course, circler = math.radians(course_deg), heading(course_deg)
     north, east = (2.0 * TURN_M * side * x for x in (-math.sin(course), math.cos(course)))
-    zone = disc(20.0, north, east)
+    zone = circle(north, east, 20.0)
     assert gap_m((zone,), 0.0, 0.0) - LOITER_M > REQUIRED_M
     assert sent_to(flat(), circler, zone) != circler[0]
 
 
 def test_nothing_is_clear_where_ground_is_not_known_or_higher_than_the_plane_on_its_way() -> None:
     """A climb takes longer than the way: a place beyond the hill is none for a plane below it."""
-    zone, half, hill = disc(70.0), flat(), flat()
+    zone, half, hill = circle(0.0, 0.0, 70.0), flat(), flat()
     north_m = half.middles_m()[0][:, 0]
     half.upper_m[north_m > 150.0] = np.inf
     assert sent_to(replace(half, upper_m=half.upper_m + np.inf), heading(0.0, 103.0), zone) is None

@@ -12,21 +12,19 @@ import pytest
 import scipy.ndimage
 from hypothesis import given
 from hypothesis import strategies as st
-from planning import ask, hills
+from planning import ask, circle, hills, planned, refused
 
 from companion.campaign import families
 from companion.config import load_mission
 from companion.geodesy import BoolArray, FloatArray
 from companion.planner.field import cost_to_go
-from companion.planner.offline import OfflineFlight
-from companion.planner.plan import plan
 from companion.planner.progress import SLACK, Progress
-from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
+from companion.planner.request import PlanRequest, Refusal
 from companion.planner.settings import PlannerSettings, Task
 from companion.planner.way_out import blocked_at
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.simulated import true_map
-from companion.world.zones import CircleZone, PolygonZone, Zone
+from companion.world.zones import PolygonZone, Zone
 
 _BASE = load_mission("environment-1").task
 SIZE_M, CELL_M = 40e3, 250.0
@@ -96,20 +94,19 @@ def test_where_it_says_that_there_is_none_a_finer_fill_finds_none(
     for north, east, spread in peaks:
         inside = np.hypot(NORTH - north, EAST - east) < spread
         height = np.maximum(height, np.where(inside, 6e3, 0.0))
-    task = replace(
-        TASK,
-        zones=tuple(
-            CircleZone(name=f"{k}", north_m=n, east_m=e, radius_m=0.5 * r)
-            for k, (n, e, r) in enumerate(zones)
-        ),
-    )
+    task = replace(TASK, zones=tuple(circle(n, e, 0.5 * r) for n, e, r in zones))
     if closed(all_seen(height), task) is not None:
-        assert not _joined(_free(height > 5e3, task.zones))
+        regions, _ = scipy.ndimage.label(_free(height > 5e3, task.zones), np.ones((3, 3)))
+        here, target = (regions[int(n / STEP_M), int(e / STEP_M)] for n, e in (HERE, TARGET))
+        assert here == 0 or here != target
+
+
+STEP_M = 62.5
 
 
 def _free(high: BoolArray, zones: tuple[Zone, ...]) -> BoolArray:
     """Points where a curve can be proven: so far from the edges of all cells that are too high."""
-    step = 62.5
+    step = STEP_M
     at = np.arange(0.5 * step, SIZE_M, step)
     each = round(CELL_M / step)
     cells = high.repeat(each, axis=0).repeat(each, axis=1)
@@ -120,23 +117,6 @@ def _free(high: BoolArray, zones: tuple[Zone, ...]) -> BoolArray:
     return np.asarray(free)
 
 
-def _joined(free: BoolArray) -> bool:
-    regions, _ = scipy.ndimage.label(free, structure=np.ones((3, 3)))
-    step = SIZE_M / free.shape[0]
-    here, target = (regions[int(n / step), int(e / step)] for n, e in (HERE, TARGET))
-    return bool(here != 0 and here == target)
-
-
-def flown_past_a_ridge(gap_m: float, *, is_known: bool) -> OfflineFlight:
-    """Of a ridge 6 km high from edge to edge two peaks are so far apart."""
-    east = [40e3 + side * (0.5 * gap_m + 400.0 * i) for side in (-1, 1) for i in range(120)]
-    ridge = hills(*((50e3, at, 6e3, 800.0, 800.0) for at in east if -2e3 < at < 82e3))
-    task = replace(TASK, limits=replace(TASK.limits, north_m=(-5e3, 105e3), east_m=(0.0, 80e3)))
-    blank = empty_map(CELL_M, task.limits.north_m, task.limits.east_m)
-    truth, start = true_map(ridge, blank), (0.0, 60e3, 3_100.0)
-    return planning.fly(task, truth, start, (100e3, 60e3), blank=truth if is_known else blank)
-
-
 @pytest.mark.parametrize(("gap_m", "is_known", "most_m"), [
     (2_350.0, True, 140e3),  # 1 km wide at the floor
     (2_500.0, False, math.inf),  # by what was seen from along the ridge sight lines leave no way
@@ -145,7 +125,14 @@ def flown_past_a_ridge(gap_m: float, *, is_known: bool) -> OfflineFlight:
 def test_a_narrow_gap_is_flown_through_and_one_that_is_too_narrow_told_at_once(
     gap_m: float, is_known: bool, most_m: float
 ) -> None:
-    flight = flown_past_a_ridge(gap_m, is_known=is_known)
+    """Of a ridge 6 km high from edge to edge two peaks are so far apart."""
+    east = [40e3 + side * (0.5 * gap_m + 400.0 * i) for side in (-1, 1) for i in range(120)]
+    ridge = hills(*((50e3, at, 6e3, 800.0, 800.0) for at in east if -2e3 < at < 82e3))
+    task = replace(TASK, limits=replace(TASK.limits, north_m=(-5e3, 105e3), east_m=(0.0, 80e3)))
+    blank = empty_map(CELL_M, task.limits.north_m, task.limits.east_m)
+    truth, start = true_map(ridge, blank), (0.0, 60e3, 3_100.0)
+    known = truth if is_known else blank
+    flight = planning.fly(task, truth, start, (100e3, 60e3), blank=known)
     refusal = flight.failure and flight.failure.refusal
     assert refusal is (None if most_m else Refusal.NO_WAY)
     assert sum(flight.flown_m) <= most_m
@@ -189,25 +176,21 @@ def at_the_mouth(gap_m: float, *, owed_m: float) -> PlanRequest:
 
 def test_who_owes_more_than_a_way_round_all_in_sight_is_told_that_no_way_on_was_found() -> None:
     """With less it looks elsewhere first, for far more than was promised."""
-    looks = plan(at_the_mouth(2_282.0, owed_m=0.0))
-    assert isinstance(looks, Planned)
+    looks = planned(at_the_mouth(2_282.0, owed_m=0.0))
     assert looks.progress.owed_m > RANGE_M
-    told = plan(at_the_mouth(2_282.0, owed_m=math.tau * RANGE_M - looks.progress.owed_m + 1.0))
-    assert isinstance(told, NotPlanned)
+    told = refused(at_the_mouth(2_282.0, owed_m=math.tau * RANGE_M - looks.progress.owed_m + 1.0))
     assert told.refusal is Refusal.NO_WAY_PROVEN
 
 
 def test_guesses_are_given_up_where_the_best_costs_far_more_than_they_promise() -> None:
     """Else it flies forth and back before a way that cannot be flown."""
-    found = plan(replace(at_the_mouth(2_282.0, owed_m=0.0), progress=Progress()))
-    assert isinstance(found, Planned)
+    found = planned(replace(at_the_mouth(2_282.0, owed_m=0.0), progress=Progress()))
     assert found.progress.believed_below_m < math.inf
 
 
 def test_who_gets_on_flies_on_whatever_it_owes() -> None:
     owed_m = 2.0 * math.tau * RANGE_M
-    through = plan(at_the_mouth(2_332.0, owed_m=owed_m))
-    assert isinstance(through, Planned)
+    through = planned(at_the_mouth(2_332.0, owed_m=owed_m))
     assert through.subpath.control_nea_m[-1, 0] > MOUTH[0]
     assert through.progress.owed_m <= owed_m
 
@@ -216,8 +199,7 @@ def test_who_gets_on_flies_on_whatever_it_owes() -> None:
 def test_a_way_out_of_what_is_too_near_pays_nothing_back(owed_m: float) -> None:
     """Else a mission that begins each round with one would go round for ever."""
     owes = Progress(record_m=5_000.0, owed_m=owed_m, expected_m=6_000.0, believed_below_m=4_000.0)
-    out = plan(ask(planning.TASK, planning.TRUTH, (2_300.0, 4_600.0, 600.0), progress=owes))
-    assert isinstance(out, Planned)
+    out = planned(ask(planning.TASK, planning.TRUTH, (2_300.0, 4_600.0, 600.0), progress=owes))
     assert out.is_escape
     assert out.progress == owes
 

@@ -10,7 +10,7 @@ import pytest
 from brute_force import fastest_m_s, violations
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planning import TASK, TRUTH, ask, fly, spline
+from planning import TASK, TRUTH, ask, circle, fly, spline
 
 from companion.mission.way_back import way_of
 from companion.planner.backtrack import backtrack
@@ -26,7 +26,7 @@ from companion.planner.request import (
     PlanRequest,
     Refusal,
 )
-from companion.world.zones import CircleZone, PolygonZone
+from companion.world.zones import PolygonZone
 
 START = (800.0, 800.0, 450.0)
 TARGET = (7_200.0, 7_000.0)
@@ -209,7 +209,7 @@ def test_it_leads_back_to_the_start_along_the_same_curve_in_safe_parts(
 
 def test_a_new_zone_on_the_way_ends_it_before_that(flight: OfflineFlight) -> None:
     north, east, _ = flight.legs[1].subpath.pose(200.0).point_nea_m
-    zone = CircleZone(name="new", north_m=north, east_m=east, radius_m=100.0)
+    zone = circle(north, east, 100.0)
     fenced = replace(TASK, zones=(*TASK.zones, zone))
     back, none = (backtrack(each, fenced, flight.known) for each in (flown(flight), ()))
     assert (none.subpaths, none.reaches_start) == ((), True)  # nothing was flown: it is at home

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from brute_force import violations
 from made_up_plans import straight_plan
-from planning import BLANK, TASK, TRUTH
+from planning import BLANK, TASK, TRUTH, planned, refused
 from planning import ask as asked
 
 from companion import jit
@@ -53,19 +53,9 @@ def hover(*place: float) -> dict[str, Any]:
     return {"start": hover_pose(np.array(place)), "scan_nea_m": place}
 
 
+PLAIN = replace(TRUTH, upper_m=np.full_like(TRUTH.upper_m, 100.0))
+"""All of the map, and level."""
 IN_FLIGHT_BESIDE_A_HILL = flying(BESIDE_A_HILL, 20.0)  # where no seed is the best answer
-
-
-def planned(request: PlanRequest) -> Planned:
-    outcome = plan(request)
-    assert isinstance(outcome, Planned)
-    return outcome
-
-
-def refused(request: PlanRequest) -> NotPlanned:
-    outcome = plan(request)
-    assert isinstance(outcome, NotPlanned)
-    return outcome
 
 
 def budget(evaluations: int, **changes: Any) -> Task:
@@ -214,9 +204,8 @@ def test_it_stops_where_flying_back_from_there_is_shorter_than_the_way_round() -
         for side in (-1, 1)
     )
     task = replace(budget(1_500), radars=(), zones=walls)
-    plain = replace(TRUTH, upper_m=np.full_like(TRUTH.upper_m, 100.0))
     request = ask(
-        task, plain, **flying(here, 0.0), target_ne_m=(1_000.0, 4_000.0),
+        task, PLAIN, **flying(here, 0.0), target_ne_m=(1_000.0, 4_000.0),
         rest=Rest(length_m=300.0, end_nea_m=(here[0] + 300.0, *here[1:])),
     )  # fmt: skip
     assert refused(request).refusal is Refusal.BETTER_TO_STOP
@@ -228,10 +217,7 @@ def test_it_stops_where_flying_back_from_there_is_shorter_than_the_way_round() -
 def test_a_leg_leads_away_only_if_that_is_news() -> None:
     """From rest a leg may be chosen though its end is farther off: turned back, it would again."""
     here, end, target_ne_m = (4_000.0, 4_000.0, 320.0), (4_000.0, 3_500.0, 320.0), (4e3, 7e3)
-    plain = replace(
-        TRUTH, upper_m=np.full_like(TRUTH.upper_m, 100.0), seen=np.ones_like(TRUTH.seen)
-    )
-    prices = Prices(TASK, cost_to_go(plain, TASK, here[:2], target_ne_m))
+    prices = Prices(TASK, cost_to_go(PLAIN, TASK, here[:2], target_ne_m))
     for thought_m, is_news in ((0.0, False), (-2.0 * SLACK * TASK.settings.scan_range_m, True)):
         progress = Progress(end_m=prices.promised_m(end) + thought_m)
         told = replace(prices, progress=progress)
@@ -245,10 +231,9 @@ def test_the_last_leg_pays_a_radar_for_its_own_length_as_a_straight_piece_does()
     here, target_ne_m = (4_000.0, 4_000.0, low_m), (4_200.0, 4_000.0)
     radar = Radar(name="r", centre_nea_m=(*target_ne_m, low_m), range_m=9_000.0)
     task = replace(TASK, radars=(radar,))
-    plain = replace(TRUTH, upper_m=np.full_like(TRUTH.upper_m, 100.0))
-    prices = Prices(task, cost_to_go(plain, task, here[:2], target_ne_m))
+    prices = Prices(task, cost_to_go(PLAIN, task, here[:2], target_ne_m))
     piece = replace(
-        straight_plan(ask(task, plain, **hover(*here), target_ne_m=target_ne_m)), terms={}
+        straight_plan(ask(task, PLAIN, **hover(*here), target_ne_m=target_ne_m)), terms={}
     )
     seen, weights = 300.0, task.settings.weights  # ten samples, each surely seen
     cost = weights.length * 100.0 / 2.4 * piece.subpath.length_m / range_m + weights.radar * seen

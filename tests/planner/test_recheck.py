@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planning import PLANE_TASK, TASK, drawn_zones, leg_of, limits, zone_distance_m
+from planning import PLANE_TASK, TASK, circle, drawn_zones, leg_of, limits, zones_distance_m
 
 from companion.geodesy import FloatArray
 from companion.planner.cost_grid import CostGrid
@@ -15,7 +15,7 @@ from companion.planner.procedure import Leg
 from companion.planner.settings import Task
 from companion.world.known_map import Lattice, empty_map
 from companion.world.near_map import NearMap
-from companion.world.zones import CircleZone, Zone
+from companion.world.zones import Zone
 
 seeds = st.integers(0, 10**6)
 
@@ -25,10 +25,6 @@ def a_leg(rng: np.random.Generator, length_m: float, climb: float = 0.0) -> Leg:
     turn = np.cumsum(rng.normal(0.0, 0.5, int(rng.integers(3, 6))))
     steps = np.stack([np.cos(turn), np.sin(turn), np.full_like(turn, climb)], axis=-1)
     return leg_of(np.vstack([np.zeros(3), np.cumsum(steps, axis=0)]) * length_m / len(turn))
-
-
-def straight_on(north_m: float) -> Leg:
-    return leg_of(np.outer(np.linspace(0.0, 1.0, 4), [north_m, 0.0, 0.0]))
 
 
 def rest_ne_m(leg: Leg, from_m: float, count: int) -> FloatArray:
@@ -51,7 +47,7 @@ def test_a_leg_is_too_near_to_zones_where_dense_samples_are(
     zones = drawn_zones(rng, int(rng.integers(1, 5)), at_ne_m, 1_500.0, 800.0, 0.1)
     from_m = share * leg.subpath.length_m
     points = rest_ne_m(leg, from_m, 4_001)  # about 5 m apart
-    gap_m = float(min(zone_distance_m(zone, *points.T).min() for zone in zones))
+    gap_m = float(zones_distance_m(zones, points).min())
     required_m = max(gap_m / off, 20.0)
     nears = leg.nears(zones, from_m, required_m)
     if gap_m >= required_m + 0.01:
@@ -63,13 +59,7 @@ def test_a_leg_is_too_near_to_zones_where_dense_samples_are(
 # --- rules that have changed
 
 LOW_M = 300.0 + 10.0  # of the floor, and tracking and navigation error
-ACROSS = CircleZone(name="new", north_m=4_000.0, east_m=500.0, radius_m=100.0)
-
-
-def low_leg(rules: Task, below_m: float = 0.0) -> Leg:
-    """Across the map, as low as it is proven, or lower."""
-    control = np.linspace((1_000.0, 500.0, LOW_M - below_m), (7_000.0, 500.0, LOW_M + 90.0), 4)
-    return leg_of(control, rules=rules)
+ACROSS = circle(4_000.0, 500.0, 100.0)
 
 
 def but(task: Task, *zones: Zone, **changes: float) -> Task:
@@ -98,7 +88,9 @@ NOBODY_KNOWS = TASK.unruled()
 def test_only_a_rule_that_is_new_or_stricter_touches_what_is_left_of_a_leg(
     below_m: float, before: Task, from_m: float, now: Task, is_touched: bool
 ) -> None:
-    assert low_leg(before, below_m).is_touched(from_m, now) is is_touched
+    """The leg goes across the map, as low as it is proven, or lower."""
+    control = np.linspace((1_000.0, 500.0, LOW_M - below_m), (7_000.0, 500.0, LOW_M + 90.0), 4)
+    assert leg_of(control, rules=before).is_touched(from_m, now) is is_touched
 
 
 # --- near things
@@ -145,7 +137,8 @@ WALL = [(row, 42) for row in range(10, 110)]  # 0.5 m to the east of it
 def test_what_is_too_near_is_left_by_a_leg_that_leads_away_soon_and_to_nothing_else(
     length_m: float, cells: list[tuple[int, int]], meets: bool
 ) -> None:
-    assert straight_on(length_m).meets(near_map(*cells), 0.0, 1.0) is meets
+    leg = leg_of(np.outer(np.linspace(0.0, 1.0, 4), [length_m, 0.0, 0.0]))
+    assert leg.meets(near_map(*cells), 0.0, 1.0) is meets
 
 
 # --- routes

@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy
-from numpy.typing import NDArray
-from planning import ask
+from planning import ask, planned
 
 from companion.config import load_mission
+from companion.geodesy import BoolArray, FloatArray
 from companion.planner.field import cost_to_go
 from companion.planner.plan import plan
 from companion.planner.price import Prices
@@ -29,9 +29,6 @@ from companion.planner.settings import Task
 from companion.planner.way_out import way_out
 from companion.world.known_map import KnownMap
 from companion.world.radars import Radar
-
-BoolArray = NDArray[np.bool_]
-FloatArray = NDArray[np.float64]
 
 CELL_M, HALF = 0.25, 80  # cells to each side of the vehicle
 ALTITUDE_M, GROUND_M, TOP_M = 108.0, 100.5, 126.0
@@ -204,8 +201,7 @@ def test_in_flight_a_leg_is_planned_as_slowly_as_it_is_entered() -> None:
     known = map_of(upper_m, upper_m > 0.0)
     rest = Rest(length_m=3.5, end_nea_m=(3.5, 0.0, ALTITUDE_M), speed_m_s=3.0)
     request = ask(task, known, here, from_rest=False, target_ne_m=(4.0, 16.0), rest=rest)
-    found = plan(request)
-    assert isinstance(found, Planned), found
+    found = planned(request)
     assert found.certificate.proven
     assert found.speed_m_s == found.certificate.speed_m_s == 3.0
     at_v = plan(replace(request, rest=replace(rest, speed_m_s=None)))

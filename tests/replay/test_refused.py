@@ -7,10 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import missions
-import numpy as np
 import pytest
 from answers import answered
-from geotiff import write_elevation
+from documents import HEIGHTS_M, terrain
 from recorded import short_mission
 from short_flight import fly_short, rewritten
 
@@ -145,13 +144,11 @@ def test_an_elevation_file_that_has_changed_is_said_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, file = tmp_path / "run", tmp_path / "dem.tif"
-    heights_m = np.random.default_rng(4).integers(300, 800, (120, 120), dtype=np.int16)
-    about_the_origin = (47.05, 7.95), 1 / 1200  # north-western corner, and a cell
-    write_elevation(file, heights_m, *about_the_origin)
+    terrain(file)
     text = short_mission(terrain={"file": str(file), "vertical_datum": "EGM96"})
     fly_short(path, text=text, until_s=5.0)
     assert answered("replay", path, "--no-plans")[0] == 0
-    write_elevation(file, heights_m + 10, *about_the_origin)
+    terrain(file, HEIGHTS_M + 10)
     monkeypatch.setattr(actions, "load_kernel", lambda: pytest.fail("it is compiled in vain"))
     for option in (["--no-plans"], ["--seed", 3]):  # what if, too
         code, out, said = answered("replay", path, *option)

@@ -78,7 +78,8 @@ class Vehicle:
                 self.landed, self.armed = 1, False
         said = [b""]
         if self.time_ms % 1000 == 0:
-            said += [self.heartbeat(), self.radar_heartbeat()]
+            of_radar = wire.MAVLink_heartbeat_message(18, 8, 0, 9, 4, 3)
+            said += [self.heartbeat(), self.pack(of_radar, self.radar)]
         said += [
             self.telemetry(message_id)
             for message_id, every_ms in self.streams_ms.items()
@@ -88,7 +89,7 @@ class Vehicle:
         said += self.to_answer
         self.to_scan, self.to_answer = [], []
         if self.sends_synchronisation:
-            said.append(self.synchronisation())
+            said.append(self.pack(wire.MAVLink_timesync_message(0, self.time_ms * 1_000_000)))
         return b"".join(said)
 
     def _fly_on(self) -> None:
@@ -108,12 +109,6 @@ class Vehicle:
     def heartbeat(self) -> bytes:
         base = 1 | (wire.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0)
         return self.pack(wire.MAVLink_heartbeat_message(2, 3, base, self.mode, 4, 3))
-
-    def radar_heartbeat(self) -> bytes:
-        return self.pack(wire.MAVLink_heartbeat_message(18, 8, 0, 9, 4, 3), self.radar)
-
-    def synchronisation(self) -> bytes:
-        return self.pack(wire.MAVLink_timesync_message(0, self.time_ms * 1_000_000))
 
     def position(self) -> bytes:
         azimuth = math.degrees(math.atan2(self.east_m, self.north_m))
@@ -147,11 +142,6 @@ class Vehicle:
         }
         return self.pack(says[message_id]()) if message_id in says else b""
 
-    def parameter(self, name: str) -> bytes:
-        value, count = self.parameters[name], len(self.parameters)
-        kind = wire.MAV_PARAM_TYPE_REAL32
-        return self.pack(wire.MAVLink_param_value_message(name.encode(), value, kind, count, 0))
-
     def scanned(self, request: Any) -> list[bytes]:
         blocks = [
             self.pack(
@@ -179,7 +169,10 @@ class Vehicle:
                 case "TERRAIN_REQUEST":
                     self.to_scan.append(message)
                 case "PARAM_REQUEST_READ" if message.param_id in self.parameters:
-                    self.to_answer.append(self.parameter(message.param_id))
+                    name, count = message.param_id, len(self.parameters)
+                    said = name.encode(), self.parameters[name], wire.MAV_PARAM_TYPE_REAL32
+                    answer = wire.MAVLink_param_value_message(*said, count, 0)
+                    self.to_answer.append(self.pack(answer))
                 case "MISSION_REQUEST_LIST":  # there is none, of no kind
                     to = message.get_srcSystem(), message.get_srcComponent()
                     count = wire.MAVLink_mission_count_message(*to, 0, message.mission_type)
@@ -293,9 +286,9 @@ class Pair:
         return [message for message in messages(self.frames) if message.get_type() == kind]
 
 
-def pair(*, lockstep: bool = True, seed: int = 1, **keywords: Any) -> Pair:
-    session = Session(MISSION, seed=seed, lockstep=lockstep, go=True)
-    return Pair(session, Vehicle(lockstep=lockstep, **keywords))
+def pair(*, lockstep: bool = True) -> Pair:
+    session = Session(MISSION, seed=1, lockstep=lockstep, go=True)
+    return Pair(session, Vehicle(lockstep=lockstep))
 
 
 def messages(frames: list[bytes]) -> list[Any]:

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 from scripted_vehicle import MISSION, Vehicle, straight_plan
-from scripted_vehicle import ScriptedLink as ScriptedLink  # for others
 from stub_session import StubSession
 
 from companion.mavlink.link import Output

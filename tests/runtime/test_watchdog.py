@@ -48,10 +48,6 @@ class Rig:
         self.signings += 1
         return frames
 
-    def watches(self, meanwhile: Iterator[None]) -> None:
-        """The watchdog looks once after each step of what happens meanwhile."""
-        self.watchdog.watch(threading.Event(), lambda: next(meanwhile, "over") == "over")
-
     def frames(self) -> list[bytes]:
         return [frame for _, frame in self.link.sent]
 
@@ -117,15 +113,17 @@ def test_a_computer_that_was_asleep_for_a_minute_has_lost_nobody() -> None:
     """The watchdog slept as well: what it did not see is no sign of a death."""
     rig = Rig()
 
-    def meanwhile() -> Iterator[None]:
+    def meanwhile() -> Iterator[bool]:
+        """The watchdog looks once after each step."""
         for _ in range(3):
             rig.gate.send([SETPOINT])
             rig.watchdog.beat()
-            yield  # its beat is seen, and it stands still from now on
+            yield False  # its beat is seen, and it stands still from now on
             rig.now_s += 60.0
-            yield
+            yield False
+        yield True
 
-    rig.watches(meanwhile())
+    rig.watchdog.watch(threading.Event(), meanwhile().__next__)
     assert rig.watchdog.failure is None
 
 

@@ -120,26 +120,18 @@ def raises_and_cannot_even_say_hold(rig: Rig) -> None:
     raise KeyError("made up")
 
 
-def stands_still(rig: Rig) -> None:
-    rig.released.wait()
-
-
-def kills_the_planner(rig: Rig) -> None:
-    """Its process, while nobody asks it anything."""
-    rig.planner.process.kill()
-
-
 @pytest.mark.parametrize(
     ("death", "told", "lockstep"),
     [
         *((raises, "decider: OSError: made up", lockstep) for lockstep in (False, True)),
         (raises_and_cannot_even_say_hold, "decider: KeyError: 'made up'", False),
-        (stands_still, "decider: it has stood still for 0.", False),
-        (kills_the_planner, "planner: its process has ended (SIGKILL)", False),
+        (lambda rig: rig.released.wait(), "decider: it has stood still for 0.", False),
+        # while nobody asks it anything
+        (lambda rig: rig.planner.process.kill(), "planner: its process has ended (SIGKILL)", False),
     ],
 )
 def test_once_a_part_has_died_nothing_is_streamed_any_more_and_the_vehicle_is_told_to_hold(
-    rig: Rig, death: Callable[[Rig], None], told: str, lockstep: bool
+    rig: Rig, death: Callable[[Rig], object], told: str, lockstep: bool
 ) -> None:
     """In time, which in lockstep nothing depends on.  The decider's hold is sent three times."""
     (part, _, error), rig.options["lockstep"] = told.partition(": "), lockstep

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from geotiff import write_elevation
+import rasterio
 from numpy.typing import NDArray
 from rasterio.transform import Affine
 
@@ -27,6 +27,7 @@ STEP_DEG = 1 / 1200
 AREA_M = (-2_000.0, 3_000.0, -4_000.0, 1_500.0)
 HEIGHTS_M = np.random.default_rng(4).integers(300, 800, (200, 240)).astype(np.int16)
 """Every 3 seconds over more than the map of the mission, about its origin."""
+ABOUT_THE_ORIGIN = (STEP_DEG, 0, 8 - 120 * STEP_DEG, 0, -STEP_DEG, 47 + 100 * STEP_DEG)
 
 
 def edited(document: Any, *edits: str) -> Any:
@@ -172,12 +173,23 @@ def written(folder: Path, kind: str, *edits: str, content: Any = None) -> Path:
     return path
 
 
-def terrain(path: Path, heights_m: NDArray[Any] = HEIGHTS_M, **changes: Any) -> None:
-    """An elevation file about the origin; changes: of how it is written."""
-    if "transform" in changes:
-        changes["transform"] = Affine(*changes["transform"])
-    north_west_deg = 47.0 + 99.5 * STEP_DEG, 8.0 - 119.5 * STEP_DEG
-    write_elevation(path, heights_m, north_west_deg, STEP_DEG, **changes)
+def terrain(
+    path: Path,
+    heights_m: NDArray[Any] = HEIGHTS_M,
+    *,
+    transform: tuple[float, ...] = ABOUT_THE_ORIGIN,
+    units: str = "",
+    scale: float = 1.0,
+    **changes: Any,
+) -> None:
+    """A GeoTIFF about the origin, rows to the south; changes: of how it is written."""
+    rows, columns = heights_m.shape
+    usual = {"height": rows, "width": columns, "count": 1, "dtype": heights_m.dtype}
+    usual |= {"crs": "EPSG:4326", "transform": Affine(*transform), "driver": "GTiff"}
+    with rasterio.open(path, "w", **(usual | changes)) as file:
+        for band in range(file.count):
+            file.write(heights_m, band + 1)
+        file.units, file.scales = [units] * file.count, [scale] * file.count
 
 
 def loaded(path: Path) -> object:

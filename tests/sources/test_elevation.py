@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import rasterio
 from documents import ENVIRONMENTS, HEIGHTS_M, STEP_DEG, refusal, terrain
-from geotiff import square
+from rasterio.transform import Affine
 from scipy.interpolate import RegularGridInterpolator
 
 from companion.config import load_world
@@ -44,7 +44,7 @@ def test_it_is_bilinear_between_middles_of_cells(tmp_path: Path, dtype: str, crs
 
 
 def test_only_the_window_of_the_area_is_read_of_a_file_of_100_million_cells(tmp_path: Path) -> None:
-    path, at = tmp_path / "terrain.tif", square(7.5, 47.5, 1 / 10_000)
+    path, at = tmp_path / "terrain.tif", Affine(1e-4, 0, 7.5, 0, -1e-4, 47.5)
     how: Any = {"driver": "GTiff", "crs": "EPSG:4326", "dtype": "int16", "count": 1}
     size: Any = {"height": 10_000, "width": 10_000, "tiled": True, "sparse_ok": True}
     rasterio.open(path, "w", transform=at, **how, **size).close()

@@ -14,16 +14,11 @@ from pymavlink.dialects.v20 import all as wire
 
 from companion.config import load_mission, mission_text
 from companion.mission.mission import EndAction, Mission
-from companion.sources.plan_file import Plan, read_plan, read_waypoint_fence, read_waypoint_list
+from companion.sources.plan_file import read_plan, read_waypoint_fence, read_waypoint_list
 
 MISSIONS = Path(__file__).parent / "missions"
 PLANS = sorted(path.name for path in MISSIONS.glob("*.plan"))
 FENCED = json.loads((MISSIONS / "fenced.plan").read_text(encoding="utf-8"))
-
-
-def read(folder: Path, content: Any) -> Plan:
-    (folder / "x.plan").write_text(json.dumps(content), encoding="utf-8")
-    return read_plan(folder / "x.plan", "mission.toml: plan")
 
 
 def naming(folder: Path, plan: Any, text: str) -> Mission:
@@ -100,7 +95,9 @@ def test_plans_and_lists_say_what_they_were_made_of(
         zones[inside].append({**place, "radius_m": radius_m})
     for inside, ring in polygons:
         zones[inside].append({"vertices_deg": [*map(list, ring)]})
-    for found in (read(folder, content), read_waypoint_list(folder / "survey.txt", "plan")):
+    (folder / "x.plan").write_text(json.dumps(content), encoding="utf-8")
+    as_plan = read_plan(folder / "x.plan", "mission.toml: plan")
+    for found in (as_plan, read_waypoint_list(folder / "survey.txt", "plan")):
         assert [tuple(shapes([each])[0].values())[:2] for each in found.targets] == targets
         planned_m = [up_m + (400.0 if frame == 3 else 0.0) for _, up_m, frame in waypoints]
         assert found.altitudes_amsl_m == planned_m + [450.0] * (end == 17)

@@ -13,14 +13,8 @@ from planning import hills
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.near_map import Kind, NearSensor
 from companion.world.simulated import SECTORS, NearScene, Thing, simulated_scan, true_map
-from companion.world.terrain import PeakTerrain
 
 CELL_M = 100.0
-
-
-def random_terrain(rng: np.random.Generator) -> PeakTerrain:
-    low, high = (0, 0, 50, 200, 200), (4_000, 4_000, 1_200, 900, 900)
-    return hills(*rng.uniform(low, high, (rng.integers(1, 6), 5)).tolist(), ground_m=30.0)
 
 
 def blank() -> KnownMap:
@@ -32,7 +26,8 @@ def blank() -> KnownMap:
 def test_the_true_map_holds_the_highest_terrain_of_each_cell_in_whole_metres(seed: int) -> None:
     """And one that is made only where it is looked at is the same."""
     rng = np.random.default_rng(seed)
-    terrain = random_terrain(rng)
+    low, high = (0, 0, 50, 200, 200), (4_000, 4_000, 1_200, 900, 900)
+    terrain = hills(*rng.uniform(low, high, (rng.integers(1, 6), 5)).tolist(), ground_m=30.0)
     truth, south = true_map(terrain, blank()), CELL_M * np.arange(40.0)[:, None]
     highest_m = terrain.highest_in_box_m(south, south + CELL_M, south.T, south.T + CELL_M)
     assert (truth.upper_m == np.ceil(highest_m)).all()

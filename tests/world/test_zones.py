@@ -7,7 +7,8 @@ import pytest
 import shapely
 from hypothesis import given
 from hypothesis import strategies as st
-from planning import drawn_zones, zone_distance_m
+from planning import drawn_zones
+from planning import zones_distance_m as truth_m
 
 from companion.geodesy import FloatArray
 from companion.objective import may_be_near
@@ -36,11 +37,6 @@ def drawn(seed: int, count: int) -> tuple[np.random.Generator, tuple[Zone, ...],
     middles = [0.5 * (each + np.roll(each, 1, axis=0)) for each in corners]
     points = [rng.uniform(-1_500.0, 1_500.0, (count, 2)), *(x[:3] for x in corners + middles)]
     return rng, zones, np.concatenate(points)
-
-
-def truth_m(zones: tuple[Zone, ...], points: FloatArray) -> FloatArray:
-    gaps = [zone_distance_m(zone, points[:, 0], points[:, 1]) for zone in zones]
-    return np.min([np.full(len(points), np.inf), *gaps], axis=0)
 
 
 @given(seed=seeds, within_m=st.sampled_from([0.0, 5.0, 80.0, math.inf]))
