@@ -36,8 +36,8 @@ _USUAL_SCAN_S = 3.3  # of a scan at 10 positions a second: each lets one request
 
 _CELLS_PER_RANGE = 80
 _SPARE = 0.0375  # of R: half the width of the way through, beside the clearance
-_HALF_DEG_M, _MOST_CELLS = 55_597.0, 5_000
-"""Of elevation files: half of what a degree is; of the lattice that they are judged on, a side."""
+_MOST_CELLS = 5_000
+"""A side of the lattice that elevation files are judged on."""
 
 
 @final
@@ -92,7 +92,7 @@ def bundled(name: str) -> DrawnWorld:
 def judgeable(terrain: Terrain, limits: Limits) -> Any:
     """The judge has its own mathematics: of peaks the highest, of heights the bilinear surface.
 
-    Heights of a file, in degrees, are taken anew in metres, twice as close.
+    Heights of a file are taken anew in metres of the local frame, twice as close.
     """
     if isinstance(terrain, PeakTerrain) and terrain.sum_of_peaks:
         raise ValueError("a world whose peaks are added up cannot be judged: combine the maximum")
@@ -100,9 +100,7 @@ def judgeable(terrain: Terrain, limits: Limits) -> Any:
         assert isinstance(terrain, PeakTerrain | ArrayTerrain)  # there are three kinds
         return terrain
     (south, north), (west, east) = limits.north_m, limits.east_m
-    step_m = max(
-        _HALF_DEG_M * terrain.step_north_deg, max(north - south, east - west) / _MOST_CELLS
-    )
+    step_m = max(0.5 * terrain.cell_m, max(north - south, east - west) / _MOST_CELLS)
     rows, columns = np.arange(south, north + step_m, step_m), np.arange(west, east + step_m, step_m)
     heights_m = terrain.height_m(rows[:, None], columns[None, :])
     return ArrayTerrain(heights_m=heights_m, spacing_m=step_m, south_m=south, west_m=west)

@@ -16,7 +16,7 @@ import numpy as np
 import pyproj
 
 from companion.errors import InputError
-from companion.geodesy import BoolArray, FloatArray, LocalFrame, wrap_deg
+from companion.geodesy import BoolArray, FloatArray, LocalFrame
 from companion.ranges import NotNegative
 from companion.sources.files import answer
 from companion.sources.tables import Altitude, FileName, Table
@@ -32,7 +32,6 @@ _Area = tuple[tuple[float, float], tuple[float, float]]
 _MAX_CELLS = 2.5e8  # of a file: 1 GB as float32
 _STRIP_CELLS = 1 << 17  # of a map at once: of a big one they would not fit into memory
 _COARSEST_M = 500.0
-_DEG_M = 111_320.0
 _LOWEST_M, _HIGHEST_M = -500.0, 9_000.0  # the Dead Sea, Everest, and some more
 _ELLIPSOIDS = ("WGS 84", "WGS84", "GRS 1980", "GRS80")
 _METRES = ("m", "metre", "meter", "metres", "meters")
@@ -81,13 +80,29 @@ class ElevationTable(Table):
                 with rasterio.open(path, driver=driver) as source:
                     for rule, remedy in _oddities(source, self.vertical_datum):
                         raise _refusal(path, rule, remedy)
-                    rows, columns = _window(source, frame, area_m)
+                    whole = _grid(source, frame)
+                    if whole.cell_m > _COARSEST_M:
+                        rule = f"its cells of {whole.cell_m:.0f} m are coarser than "
+                        rule += f"{_COARSEST_M:.0f} m"
+                        raise _refusal(path, rule, "Name a finer file.")
+                    border = np.meshgrid(*(np.linspace(*side, _BORDER_POINTS) for side in area_m))
+                    places = whole.nodes(*border)
+                    if not np.isfinite(places).all():
+                        rule = "its map projection does not reach [area]"
+                        raise _refusal(path, rule, "Name the file of this place.")
+                    rows, columns = (
+                        range(math.floor(axis.min() - 0.01), math.ceil(axis.max() + 0.01) + 1)
+                        for axis in places
+                    )
                     if len(rows) * len(columns) > _MAX_CELLS:
                         rule = f"[area] takes more than {_MAX_CELLS:.1e} of its cells"
                         raise _refusal(path, rule, "Make [area] smaller.")
-                    window = (rows.start, rows.stop), (columns.start, columns.stop)
-                    heights = source.read(1, window=window, boundless=True, masked=True)
-                    at, (height, width) = source.transform, source.shape
+                    height, width = source.shape
+                    window = (
+                        (height - rows.stop, height - rows.start),
+                        (columns.start, columns.stop),
+                    )
+                    heights = source.read(1, window=window, boundless=True, masked=True)[::-1]
         except rasterio.errors.RasterioError as error:
             rule = f"it cannot be read ({' '.join(str(error).split())})"
             raise _refusal(path, rule, _NAME_ONE) from None
@@ -102,15 +117,9 @@ class ElevationTable(Table):
             rule = f"its heights run from {known_m.min():g} to {known_m.max():g} m, which is not "
             rule += "this earth"
             raise _refusal(path, rule, "Name a file of elevations in metres.")
-        terrain = GridTerrain(
-            frame=frame,
-            heights_m=heights_m[::-1],
-            south_deg=at.f + at.e * (rows.stop - 0.5),
-            west_deg=at.c + at.a * (columns.start + 0.5),
-            step_north_deg=-at.e,
-            step_east_deg=at.a,
-        )
-        return terrain, unknown[::-1]
+        south = whole.south + rows.start * whole.step_north
+        west = whole.west + columns.start * whole.step_east
+        return replace(whole, heights_m=heights_m, south=south, west=west), unknown
 
 
 class KnownElevationTable(ElevationTable):
@@ -150,30 +159,26 @@ def _refusal(path: Path, rule: str, remedy: str) -> InputError:
 
 
 def _oddities(source: Any, vertical_datum: str) -> Iterator[tuple[str, str]]:
-    """Why it is no band of metres over north-up degrees of a datum like WGS84: rule, remedy."""
+    """Why it is no band of metres over a north-up map of a datum like WGS84: rule, remedy."""
     if source.crs is None:
         yield "it does not say which coordinates it is in", _WARP
         return
-    crs = pyproj.CRS.from_wkt(source.crs.to_wkt())
-    flat = crs.sub_crs_list[0] if crs.is_compound else crs
+    flat, datum = _coordinates(source)
     ellipsoid = flat.ellipsoid.name if flat.ellipsoid else "none"
     meridian = flat.prime_meridian.longitude if flat.prime_meridian else 0.0
     at, unit = source.transform, (source.units[0] or "m").lower()
-    cell_m = max(at.a, -at.e) * _DEG_M  # its longer side, at the equator
-    datum = crs.sub_crs_list[1].name if crs.is_compound else vertical_datum
     rules = (
-        (not flat.is_geographic or ellipsoid not in _ELLIPSOIDS or meridian != 0.0,
-         f"its coordinates are {flat.name}, not latitude and longitude of WGS84", _WARP),
+        (not (flat.is_geographic or flat.is_projected),
+         f"its coordinates, {flat.name}, are no place on earth", _WARP),
+        (ellipsoid not in _ELLIPSOIDS or meridian != 0.0,
+         f"its coordinates are {flat.name}, of another datum than WGS84", _WARP),
         (len(flat.axis_info) == 3,
          "its heights are above the ellipsoid", "Convert them to a vertical datum."),
-        (not _same_datum(datum, vertical_datum),
+        (not _same_datum(datum or vertical_datum, vertical_datum),
          f"it says that its heights are {datum}, not {vertical_datum}",
          "Correct terrain.vertical_datum."),
         (at.b or at.d or at.a <= 0.0 or at.e >= 0.0,
          "its rows do not run from north to south", _WARP),
-        (cell_m > _COARSEST_M,
-         f"its cells of {cell_m:.0f} m are coarser than {_COARSEST_M:.0f} m",
-         "Name a finer file."),
         (source.count != 1 or np.dtype(source.dtypes[0]).kind not in "iuf",
          "it is not one band of heights", "Name a file of elevations."),
         (source.scales[0] != 1.0 or source.offsets[0] != 0.0,
@@ -183,6 +188,15 @@ def _oddities(source: Any, vertical_datum: str) -> Iterator[tuple[str, str]]:
     yield from ((rule, remedy) for is_broken, rule, remedy in rules if is_broken)
 
 
+def _coordinates(source: Any) -> tuple[pyproj.CRS, str | None]:
+    """Those of its map, and the name of its vertical datum, if it says one."""
+    crs = pyproj.CRS.from_wkt(source.crs.to_wkt())
+    if not crs.is_compound:
+        return crs, None
+    flat, upward = crs.sub_crs_list[:2]
+    return flat, upward.name
+
+
 def _same_datum(name: str, vertical_datum: str) -> bool:
     """Whether what a file calls its vertical datum may be the one that the world names."""
     short = name.upper().replace(" ", "")
@@ -190,17 +204,20 @@ def _same_datum(name: str, vertical_datum: str) -> bool:
     return vertical_datum in (known or [vertical_datum]) and "ELLIPSOID" not in short
 
 
-def _window(source: Any, frame: LocalFrame, area_m: _Area) -> list[range]:
-    """Rows and columns of a file whose middles enclose an area; they may lie beyond it."""
-    border = [np.linspace(*side, _BORDER_POINTS) for side in area_m]
-    latitude, longitude = frame.to_geodetic_deg(*np.meshgrid(*border, indexing="ij"))
-    at, half = source.transform, 0.5 * source.width
-    row = (latitude - at.f) / at.e - 0.5
-    column = wrap_deg(longitude - (at.c + half * at.a)) / at.a + half - 0.5
-    return [
-        range(math.floor(axis.min() - 0.01), math.ceil(axis.max() + 0.01) + 1)
-        for axis in (row, column)
-    ]
+def _grid(source: Any, frame: LocalFrame) -> GridTerrain:
+    """All of a file, without its heights: where its cells are."""
+    (flat, _), at, projection = _coordinates(source), source.transform, None
+    if flat.is_projected:  # from degrees of its own datum
+        projection = pyproj.Transformer.from_crs(flat.geodetic_crs, flat, always_xy=True)
+    return GridTerrain(
+        frame=frame,
+        heights_m=np.broadcast_to(np.zeros((), dtype=np.float32), source.shape),
+        south=at.f + at.e * (source.height - 0.5),
+        west=at.c + at.a * 0.5,
+        step_north=-at.e,
+        step_east=at.a,
+        projection=projection,
+    )
 
 
 def _highest_m(terrain: GridTerrain, blank: KnownMap) -> FloatArray:

@@ -11,6 +11,7 @@ from typing import Any, Protocol, final
 
 import numpy as np
 import numpy.typing as npt
+import pyproj
 import scipy
 
 from companion.geodesy import FloatArray, LocalFrame, wrap_deg
@@ -19,7 +20,8 @@ _FEW = 400  # points that are projected one by one; more of them on a lattice ar
 _NODES = 12  # Chebyshev nodes a side: 0.1 mm on windows of 200 km below 70 degrees of latitude
 _FINE_LINES = 2
 """Lines of a grid in a box up to which patches are cut at them: exact, at 16 points a box."""
-_EARTH_M = 6.3e6  # less than any radius of the earth: what bends is taken to bend more
+_DEG_M = 111_194.0  # of the mean sphere
+_NODE_ERROR = 1e-4  # of a cell: more than what interpolation between Chebyshev nodes makes
 _Places = tuple[FloatArray, FloatArray]  # fractional rows and columns of a grid
 
 
@@ -131,59 +133,66 @@ class _Nodes(abc.ABC):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GridTerrain(_Nodes):
-    """Heights at the nodes of a grid in latitude and longitude, bilinear in these.
+    """Heights at the nodes of a grid in the coordinates that its file has, bilinear in these.
 
-    The grid stays in the coordinates that its file has it in, so that no resampling comes between
-    the file and the terrain.
+    It stays in them, so that no resampling comes between the file and the terrain.
     """
 
     frame: LocalFrame
     heights_m: npt.NDArray[Any]
-    south_deg: float
-    west_deg: float
-    """Latitude and longitude of node (0, 0)."""
-    step_north_deg: float
-    step_east_deg: float
+    south: float
+    west: float
+    """Coordinates of node (0, 0): degrees, or what `projection` makes of them."""
+    step_north: float
+    step_east: float
+    projection: pyproj.Transformer | None = None
+    """From longitude and latitude, degrees, to east and north; None: the grid is in degrees."""
+
+    @property
+    def cell_m(self) -> float:
+        """The longer side of a cell, at the equator if the grid is in degrees."""
+        step = max(self.step_north, self.step_east)
+        if self.projection is None:
+            return step * _DEG_M
+        assert self.projection.target_crs is not None  # it is made of two
+        return float(step * self.projection.target_crs.axis_info[0].unit_conversion_factor)
+
+    def nodes(self, north_m: FloatArray, east_m: FloatArray) -> _Places:
+        """Fractional row and column of points, each projected.  (...) x2 -> (...) x2.
+
+        Not finite where a projection does not reach.
+        """
+        latitude, longitude = self.frame.to_geodetic_deg(north_m, east_m)
+        if self.projection is not None:
+            x, y = self.projection.transform(longitude, latitude)
+            return (y - self.south) / self.step_north, (x - self.west) / self.step_east
+        half = 0.5 * self.step_east * (self.heights_m.shape[1] - 1)
+        off_middle = wrap_deg(self.frame.longitude_deg - self.west - half)
+        east = wrap_deg(longitude - self.frame.longitude_deg) + off_middle + half
+        return (latitude - self.south) / self.step_north, east / self.step_east
 
     def _nodes(self, north_m: FloatArray, east_m: FloatArray) -> _Places:
         outer = north_m.ndim == east_m.ndim == 2 and north_m.shape[1] == east_m.shape[0] == 1
         if not outer or north_m.size * east_m.size <= _FEW:
-            return self._projected(*np.broadcast_arrays(north_m, east_m))
+            return self.nodes(*np.broadcast_arrays(north_m, east_m))
         north_at, from_north = _chebyshev(north_m[:, 0])
         east_at, from_east = _chebyshev(east_m[0])
-        row, column = self._projected(*np.meshgrid(north_at, east_at, indexing="ij"))
+        row, column = self.nodes(*np.meshgrid(north_at, east_at, indexing="ij"))
         return from_north @ row @ from_east.T, from_north @ column @ from_east.T
-
-    def _projected(self, north_m: FloatArray, east_m: FloatArray) -> _Places:
-        """Fractional row and column of points, each projected.  (...) x2 -> (...) x2."""
-        latitude, longitude = self.frame.to_geodetic_deg(north_m, east_m)
-        half = 0.5 * self.step_east_deg * (self.heights_m.shape[1] - 1)
-        off_middle = wrap_deg(self.frame.longitude_deg - self.west_deg - half)
-        east = wrap_deg(longitude - self.frame.longitude_deg) + off_middle + half
-        return (latitude - self.south_deg) / self.step_north_deg, east / self.step_east_deg
 
     def _outlines(
         self, south: FloatArray, north: FloatArray, west: FloatArray, east: FloatArray
     ) -> tuple[_Places, _Places]:
-        """Those of the corners, and a little more.
-
-        The sides bend by side^2 / 8 over the curvature radius of a straight line's image, R / 2
-        (1 + tan(latitude)), and a millimetre.
-        """
-        corners = [
-            self._nodes(np.asarray(n), np.asarray(e)) for n in (south, north) for e in (west, east)
-        ]
-        sides = np.subtract(north, south), np.subtract(east, west)
-        side = float(max(np.max(side_m, initial=0.0) for side_m in sides))
-        edge_deg = abs(self.south_deg) + self.step_north_deg * self.heights_m.shape[0]
-        edge_rad = math.radians(min(edge_deg, 89.0))
-        bend = side**2 / 4.0 * (1.0 + math.tan(edge_rad)) / _EARTH_M + 1e-3
-        slack_deg = math.degrees(bend / _EARTH_M) if side > 0.0 else 0.0
-        row, column = slack_deg / self.step_north_deg, slack_deg / math.cos(edge_rad)
-        slack = row, column / self.step_east_deg
-        rows, columns = zip(*corners, strict=True)
-        low = np.min(rows, axis=0) - slack[0], np.min(columns, axis=0) - slack[1]
-        return low, (np.max(rows, axis=0) + slack[0], np.max(columns, axis=0) + slack[1])
+        """Those of the corners, and a little more: the sides bend, most in their middles."""
+        south, north, west, east = (np.asarray(side) for side in (south, north, west, east))
+        corners = np.array([[self._nodes(n, e) for e in (west, east)] for n in (south, north)])
+        bends = np.abs([  # of two sides; those across from them bend alike
+            self._nodes(0.5 * (south + north), west) - corners[:, 0].mean(axis=0),
+            self._nodes(south, 0.5 * (west + east)) - corners[0].mean(axis=0),
+        ])  # fmt: skip
+        slack = 2.0 * bends.max(axis=0) + _NODE_ERROR  # (2, ...)
+        low, high = corners.min(axis=(0, 1)) - slack, corners.max(axis=(0, 1)) + slack
+        return (low[0], low[1]), (high[0], high[1])
 
 
 @final

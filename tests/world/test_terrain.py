@@ -1,19 +1,24 @@
 """Heights of ground and bounds of boxes, against equation 1, geodesics and scipy."""
 
 import math
-from dataclasses import astuple
+from dataclasses import astuple, replace
 
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pyproj import Geod
+from pyproj import CRS, Geod, Transformer
+from rasterio.warp import transform
 from scipy.ndimage import map_coordinates
 
 from companion.geodesy import FloatArray, LocalFrame
 from companion.world.terrain import ArrayTerrain, GridTerrain, Peak, PeakTerrain
 
 seeds = st.integers(0, 10**6)
-PLACES = st.sampled_from([(0.0, 0.0), (36.5, -84.3), (-47.0, 179.99), (68.0, -180.0)])
+DEGREES = [(0.0, 0.0, 0), (36.5, -84.3, 0), (-47.0, 179.99, 0), (68.0, -180.0, 0)]
+PROJECTED = [(47.0, 8.0, 32632), (62.0, -6.0, 3035), (40.7, -74.0, 2263), (72.0, 100.0, 3413),
+             (-28.0, 29.5, 2053), (5.0, 179.99, 3832)]  # fmt: skip
+"""Latitude, longitude, EPSG: of metres, feet, turned by any angle, or over the date line."""
+PLACES = st.sampled_from(DEGREES + PROJECTED)
 
 
 def drawn_peaks(rng: np.random.Generator, count: int, apart_m: float) -> PeakTerrain:
@@ -61,30 +66,43 @@ def test_no_point_of_a_box_is_higher_than_the_highest_in_it(
 
 
 def random_grid(
-    seed: int, latitude_deg: float, longitude_deg: float, step_deg: float = 1 / 1200
+    seed: int, latitude_deg: float, longitude_deg: float, epsg: int, step_deg: float = 1 / 1200
 ) -> GridTerrain:
     rng = np.random.default_rng(seed)
     rows, columns = rng.integers(60, 90, 2).tolist()
+    x, y, step, projection = longitude_deg, latitude_deg, step_deg, None
+    if epsg:
+        crs = CRS(epsg)
+        projection = Transformer.from_crs(crs.geodetic_crs, crs, always_xy=True)
+        x, y = projection.transform(x, y)
+        step *= 111_000.0 / crs.axis_info[0].unit_conversion_factor
     return GridTerrain(
         frame=LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg),
         heights_m=rng.integers(-50, 900, (rows, columns)).astype(np.int16),
-        south_deg=latitude_deg - 0.5 * rows * step_deg,
-        west_deg=longitude_deg - 0.5 * columns * step_deg,
-        step_north_deg=step_deg,
-        step_east_deg=step_deg,
+        south=y - 0.5 * rows * step,
+        west=x - 0.5 * columns * step,
+        step_north=step,
+        step_east=step,
+        projection=projection,
     )
 
 
-def by_geodesics(terrain: GridTerrain, north: FloatArray, east: FloatArray) -> FloatArray:
-    """The same surface by other libraries: geodesics, and scipy's; beyond its edge as there."""
+def by_geodesics(
+    terrain: GridTerrain, epsg: int, north: FloatArray, east: FloatArray
+) -> FloatArray:
+    """The same surface by other libraries: geodesics, GDAL, scipy's; beyond its edge as there."""
     lat_0, lon_0 = terrain.frame.latitude_deg, terrain.frame.longitude_deg
     ones, azimuth = np.ones_like(north), np.degrees(np.arctan2(east, north))
-    lon, lat, _ = Geod(ellps="WGS84").fwd(
-        lon_0 * ones, lat_0 * ones, azimuth, np.hypot(north, east)
-    )
+    x, y, _ = Geod(ellps="WGS84").fwd(lon_0 * ones, lat_0 * ones, azimuth, np.hypot(north, east))
+    x_0, y_0 = lon_0, lat_0
+    if epsg:
+        (x_0, *x), (y_0, *y) = transform("EPSG:4326", f"EPSG:{epsg}", [lon_0, *x], [lat_0, *y])
+        away = np.array(x) - x_0
+    else:
+        away = (x - x_0 + 180.0) % 360.0 - 180.0
     rows, columns = terrain.heights_m.shape
-    row = (lat - lat_0) / terrain.step_north_deg + 0.5 * rows
-    column = ((lon - lon_0 + 180.0) % 360.0 - 180.0) / terrain.step_north_deg + 0.5 * columns
+    row = (np.array(y) - y_0) / terrain.step_north + 0.5 * rows
+    column = away / terrain.step_east + 0.5 * columns
     return np.asarray(
         map_coordinates(terrain.heights_m.astype(float), [row, column], order=1, mode="nearest")
     )
@@ -92,14 +110,14 @@ def by_geodesics(terrain: GridTerrain, north: FloatArray, east: FloatArray) -> F
 
 @settings(max_examples=30)
 @given(seed=seeds, place=PLACES, step=st.sampled_from([1 / 3600, 1 / 1200, 0.1]))
-def test_a_height_grid_is_bilinear_in_latitude_and_longitude_for_points_and_lattices(
-    seed: int, place: tuple[float, float], step: float
+def test_a_height_grid_is_bilinear_in_the_coordinates_of_its_file_for_points_and_lattices(
+    seed: int, place: tuple[float, float, int], step: float
 ) -> None:
     """On 200 km, too: between two nodes, 11 km, there are 950 m at most, so 1 mm makes 1e-4 m."""
     terrain = random_grid(seed, *place, step)
     far = min(60.0 * step * 111_000.0 * math.cos(math.radians(place[0])), 1e5)
     north, east = np.random.default_rng(seed).uniform(-far, far, (2, 60))
-    expected = by_geodesics(terrain, north, east)
+    expected = by_geodesics(terrain, place[2], north, east)
     np.testing.assert_allclose(terrain.height_m(north, east), expected, rtol=0, atol=1e-3)
     lattice = terrain.height_m(north[:, None], east[None, :]).ravel()
     points = (x.ravel() for x in np.meshgrid(north, east, indexing="ij"))
@@ -126,7 +144,7 @@ def test_an_array_of_heights_is_bilinear_between_its_nodes_and_goes_on_beyond_th
     size_m=st.sampled_from([0.0, 5.0, 19.0, 39.0, 60.0, 150.0, 400.0, 1_500.0]),
 )
 def test_no_point_of_heights_is_higher_than_the_bound_of_its_box(
-    seed: int, place: tuple[float, float] | None, size_m: float
+    seed: int, place: tuple[float, float, int] | None, size_m: float
 ) -> None:
     far, terrain = 500.0, array_terrain(seed)
     if place is not None:
@@ -144,3 +162,21 @@ def test_no_point_of_heights_is_higher_than_the_bound_of_its_box(
             assert (bound <= brute + 2.0 * 300.0 / 40.0 * size_m / 48.0 + 1e-9).all()
         else:
             assert np.median(bound - brute) < 40.0
+
+
+@settings(max_examples=30)
+@given(seed=seeds, place=PLACES)
+def test_the_bound_of_a_box_knows_that_its_sides_bend_in_the_coordinates_of_the_file(
+    seed: int, place: tuple[float, float, int]
+) -> None:
+    """Of a plane that rises to any side, boxes as big as half a cell: some 4 cm."""
+    terrain = random_grid(seed, *place, 0.1)
+    row, column = np.indices(terrain.heights_m.shape)
+    rng = np.random.default_rng(seed)
+    north, east = rng.uniform(-5e4, 5e4, (2, 30))
+    inside = np.linspace(0.0, 5e3, 25)
+    points = north[:, None, None] + inside[:, None], east[:, None, None] + inside
+    for heights in (row, -row, column, -column):
+        plane = replace(terrain, heights_m=1e3 * heights)
+        brute = plane.height_m(*np.broadcast_arrays(*points)).max(axis=(1, 2))
+        assert (plane.highest_in_box_m(north, north + 5e3, east, east + 5e3) >= brute - 1e-3).all()
