@@ -2,13 +2,14 @@
 
 import warnings
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
+import pyproj
 
 from vehicle_sim.errors import InputError
-from vehicle_sim.geodesy import LocalFrame
-from vehicle_sim.terrain import Area, GridTerrain
+from vehicle_sim.geodesy import FloatArray, LocalFrame
+from vehicle_sim.terrain import Area, GridTerrain, Pair, Placed
 
 _SPARE: Final = 0.02
 """Of a cell: the border of the area bends between the places of it that are looked at."""
@@ -33,14 +34,11 @@ def read_grid(
             driver = "SRTMHGT" if path.suffix.lower() == ".hgt" else "GTiff"
             dataset = rasterio.open(path, driver=driver)
         with dataset:
-            a, turned, west_deg, _, e, north_deg = dataset.transform[:6]
-            is_level = dataset.crs is not None and dataset.crs.is_geographic and not turned
-            rule = "is not of latitude and longitude, north up"
-            must(is_level and a > 0.0 > e, rule, "Warp it to EPSG:4326.")
+            placed = _placing(dataset)
+            must(placed is not None, "is no map that is north up", "Warp it to EPSG:4326.")
+            assert placed is not None
             # rows and columns around the area: the first ones, and those after the last
-            half_deg = 0.5 * dataset.width * a
-            east_deg = (longitude - west_deg - half_deg + 180.0) % 360.0 - 180.0
-            places = np.stack([(latitude - north_deg) / e, (east_deg + half_deg) / a]) - 0.5
+            places = np.stack(placed(latitude, longitude))
             top, left = np.floor(places.min(axis=1) - _SPARE).astype(int).tolist()
             bottom, right = np.ceil(places.max(axis=1) + _SPARE).astype(int).tolist()
             covered = min(top, left) >= 0 and bottom < dataset.height and right < dataset.width
@@ -56,11 +54,25 @@ def read_grid(
         must(nodata is not None, rule, remedy)
         heights = heights.astype(np.float32)
         heights[holes] = 0.0 if nodata == "sea" else nodata
-    return GridTerrain(
-        heights,
-        north_deg=north_deg + (top + 0.5) * e,
-        west_deg=west_deg + (left + 0.5) * a,
-        step_deg=(-e, a),
-        frame=frame,
-        area_m=area_m,
-    )
+    return GridTerrain(heights, placed=placed, corner=(top, left), frame=frame, area_m=area_m)
+
+
+def _placing(dataset: Any) -> Placed | None:
+    """Where in a file places lie, from its first cell on; None: it is no map that is north up."""
+    east, turned, west, _, south, north = dataset.transform[:6]
+    crs = None if dataset.crs is None else pyproj.CRS.from_wkt(dataset.crs.to_wkt())
+    flat = crs.sub_crs_list[0] if crs is not None and crs.is_compound else crs
+    if flat is None or not (flat.is_projected or flat.is_geographic):
+        return None
+    if turned or not east > 0.0 > south:
+        return None
+    to_map = pyproj.Transformer.from_crs(flat.geodetic_crs, flat, always_xy=True)
+    middle = west + 0.5 * dataset.width * east
+
+    def placed(latitude_deg: FloatArray, longitude_deg: FloatArray) -> Pair:
+        x, y = to_map.transform(longitude_deg, latitude_deg)
+        if flat.is_geographic:
+            x = middle + (x - middle + 180.0) % 360.0 - 180.0
+        return (y - north) / south - 0.5, (x - west) / east - 0.5
+
+    return placed

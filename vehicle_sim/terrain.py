@@ -10,7 +10,7 @@ straight between them.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Final, Literal, final
 
 import numpy as np
@@ -18,7 +18,7 @@ import scipy
 from numpy.typing import NDArray
 
 from vehicle_sim.compiled import compiled
-from vehicle_sim.geodesy import FloatArray, LocalFrame, metres_per_degree
+from vehicle_sim.geodesy import FloatArray, LocalFrame
 
 Combine = Literal["maximum", "sum"]
 PeakRow = tuple[float, float, float, float, float]
@@ -126,11 +126,14 @@ def _highest_in_quads(
 
 Area = tuple[float, float, float, float]
 """North least and most, east least and most, in metres."""
+Pair = tuple[FloatArray, FloatArray]
+Placed = Callable[[FloatArray, FloatArray], Pair]
+"""In which row and column of a grid places lie: latitude, longitude -> fractions.  (K,) each."""
 _TABLE_M: Final = 250.0
 _TABLE_PLACES: Final = 400
 """A side at most: 1 km apart for an area of 400 km, where it bends by 2 cm between them."""
-_STRETCH: Final = 1.01
-"""A metre of the local frame is this many true metres at most."""
+_BENT: Final = 1.01
+"""Between the places of the table a grid has steps that are shorter, by less than this."""
 _SAMPLES: Final = (9, 25)
 _SAMPLE_M: Final = 5.0
 
@@ -143,15 +146,15 @@ class GridTerrain:
         self,
         heights_m: NDArray[Any],
         *,
-        north_deg: float,
-        west_deg: float,
-        step_deg: tuple[float, float],
+        placed: Placed,
+        corner: tuple[int, int],
         frame: LocalFrame,
         area_m: Area,
     ) -> None:
-        """The terrain of an area.  north_deg, west_deg: of the first point.  Steps: positive.
+        """The terrain of an area.
 
-        heights_m: (rows, columns) AMSL, of the file's own type.
+        heights_m: (rows, columns) AMSL, of the file's own type: the part of its grid from `corner`
+        on.  placed: where in that grid latitudes and longitudes lie.
         """
         self.heights_m = heights_m
         sizes = [max(high - low, 1.0) for low, high in (area_m[:2], area_m[2:])]
@@ -163,17 +166,19 @@ class GridTerrain:
             area_m[2] + np.linspace(0.0, sizes[1], counts[1]),
             indexing="ij",
         )
-        latitude, longitude = frame.to_geographic_many(north.ravel(), east.ravel())
-        half = 0.5 * step_deg[1] * (heights_m.shape[1] - 1)
-        off_middle = (longitude - west_deg - half + 180.0) % 360.0 - 180.0
-        self._row_at = ((north_deg - latitude) / step_deg[0]).reshape(north.shape)
-        self._column_at = ((off_middle + half) / step_deg[1]).reshape(north.shape)
+        places = placed(*frame.to_geographic_many(north.ravel(), east.ravel()))
+        self._row_at, self._column_at = (
+            at.reshape(north.shape) - first for at, first in zip(places, corner, strict=True)
+        )
         """(N, E): which row of the grid each place of the table lies in; and which column."""
-        southmost_deg = north_deg - step_deg[0] * heights_m.shape[0]
-        northward_m, eastward_m = metres_per_degree(north_deg)
-        eastward_m = min(eastward_m, metres_per_degree(southmost_deg)[1])
-        self._steps_m = step_deg[0] * northward_m, step_deg[1] * eastward_m
-        """From row to row, and the least from column to column."""
+        tables = self._row_at, self._column_at
+        rows, columns = (np.array(np.gradient(at, *self._spacing_ne_m)) for at in tables)
+        most = np.hypot(*rows).max(), np.hypot(*columns).max()
+        self._steps_m = 1.0 / float(most[0]), 1.0 / float(most[1])
+        """From row to row, and from column to column: the least of both in the area."""
+        cosine = float(np.abs((rows * columns).sum(axis=0)).max()) / (most[0] * most[1])
+        self._stretch = _BENT * math.sqrt(1.0 + cosine)
+        """Slopes are so much more than those of steps at right angles, at most."""
 
     def _rows_columns(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
         """Where points of the local frame lie in the grid.  (...) x2 -> (2, ...)."""
@@ -203,7 +208,7 @@ class GridTerrain:
         most = scipy.ndimage.maximum_filter  # within two rows and columns
         along_north = most(np.abs(np.diff(part, axis=0))[:, :-1], 5) / self._steps_m[0]
         along_east = most(np.abs(np.diff(part, axis=1))[:-1], 5) / self._steps_m[1]
-        slope: FloatArray = _STRETCH * np.hypot(along_north, along_east)
+        slope: FloatArray = self._stretch * np.hypot(along_north, along_east)
         if np.any(np.ptp(grid, axis=2) > 2.0):
             return np.full(grid.shape[1], slope.max())
         middle = np.rint(grid.mean(axis=2)).astype(np.intp) - low[:, None]

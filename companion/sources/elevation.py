@@ -161,7 +161,8 @@ def _refusal(path: Path, rule: str, remedy: str) -> InputError:
 def _oddities(source: Any, vertical_datum: str) -> Iterator[tuple[str, str]]:
     """Why it is no band of metres over a north-up map of a datum like WGS84: rule, remedy."""
     if source.crs is None:
-        yield "it does not say which coordinates it is in", _WARP
+        remedy = "Say which (gdal_edit.py -a_srs EPSG:4326, if it is in degrees)."
+        yield "it does not say which coordinates it is in", remedy
         return
     flat, datum = _coordinates(source)
     ellipsoid = flat.ellipsoid.name if flat.ellipsoid else "none"
@@ -169,7 +170,7 @@ def _oddities(source: Any, vertical_datum: str) -> Iterator[tuple[str, str]]:
     at, unit = source.transform, (source.units[0] or "m").lower()
     rules = (
         (not (flat.is_geographic or flat.is_projected),
-         f"its coordinates, {flat.name}, are no place on earth", _WARP),
+         f"its coordinates ({flat.name}) are of no map of the earth", _NAME_ONE),
         (ellipsoid not in _ELLIPSOIDS or meridian != 0.0,
          f"its coordinates are {flat.name}, of another datum than WGS84", _WARP),
         (len(flat.axis_info) == 3,

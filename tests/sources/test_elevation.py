@@ -8,13 +8,19 @@ import numpy as np
 import pytest
 import rasterio
 from documents import ENVIRONMENTS, HEIGHTS_M, STEP_DEG, refusal, terrain
+from pyproj import CRS
 from rasterio.transform import Affine
+from rasterio.warp import transform
 from scipy.interpolate import RegularGridInterpolator
+from scipy.ndimage import map_coordinates
 
 from companion.config import load_world
 from companion.geodesy import LocalFrame
-from companion.sources.elevation import ElevationTable
+from companion.sources.elevation import ElevationTable, KnownElevationTable
+from companion.world.known_map import empty_map
 from companion.world.terrain import GridTerrain
+from vehicle_sim import geodesy
+from vehicle_sim.elevation import read_grid
 from vehicle_sim.world import read_world
 
 FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
@@ -41,6 +47,35 @@ def test_it_is_bilinear_between_middles_of_cells(tmp_path: Path, dtype: str, crs
     places = [FRAME.to_geodetic_deg(n, e) for n, e in zip(north, east, strict=True)]
     found = read(tmp_path / "x.tif").height_m(north, east)
     np.testing.assert_allclose(found, surface(places), rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("epsg", [32632, 3035, 2263, 3857, 3413])
+def test_a_file_of_any_map_is_read_where_gdal_places_it_by_both_programs(
+    tmp_path: Path, epsg: int
+) -> None:
+    """Of metres or feet, conformal or not, turned by any angle; no map of it is lower anywhere."""
+    unit_m = CRS(epsg).axis_info[0].unit_conversion_factor
+    [x], [y] = transform("EPSG:4326", f"EPSG:{epsg}", [8.0], [47.0])
+    step, (rows, columns) = 90.0 / unit_m, HEIGHTS_M.shape
+    at = (step, 0.0, x - 0.5 * columns * step, 0.0, -step, y + 0.5 * rows * step)
+    terrain(tmp_path / "x.tif", crs=f"EPSG:{epsg}", transform=at)
+    north, east = (np.random.default_rng(7).uniform(*side, 300) for side in AREA)
+    latitude, longitude = FRAME.to_geodetic_deg(north, east)
+    placed = transform("EPSG:4326", f"EPSG:{epsg}", longitude, latitude)
+    across, down = (np.array(placed[0]) - at[2]) / step, (at[5] - np.array(placed[1])) / step
+    gdals = map_coordinates(HEIGHTS_M.astype(float), [down - 0.5, across - 0.5], order=1)
+    ours = read(tmp_path / "x.tif").height_m(north, east)
+    np.testing.assert_allclose(ours, gdals, rtol=0, atol=1e-3)
+    frame = geodesy.LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
+    theirs = read_grid(tmp_path / "x.tif", frame, (*AREA[0], *AREA[1]), None)
+    np.testing.assert_allclose(theirs.height_amsl_m(north, east), gdals, rtol=0, atol=0.02)
+    known = KnownElevationTable(
+        file=str(tmp_path / "x.tif"), vertical_datum="EGM96", datum_error_m=0
+    )
+    blank = empty_map(40.0, *AREA)
+    upper_m = known.upper_m(FRAME, blank)
+    cells = [blank.cell_of(n, e) for n, e in zip(north, east, strict=True)]
+    assert (upper_m[tuple(np.transpose(cells))] >= gdals).all()
 
 
 def test_only_the_window_of_the_area_is_read_of_a_file_of_100_million_cells(tmp_path: Path) -> None:
