@@ -32,7 +32,8 @@ from companion.config import (
 )
 from companion.errors import CompanionError, FlightFailed, FlightInterrupted, InputError
 from companion.live_view.command import VIEW_PORT, PortOption, started_view, stay, view_command
-from companion.mavlink.preflight import CheckStatus, checks_of, not_heard
+from companion.mavlink.checks import CheckStatus
+from companion.mavlink.preflight import checks_of, not_heard
 from companion.mavlink.signing import Signing
 from companion.mission.events import Outcome
 from companion.mission.mission import Mission

@@ -13,9 +13,9 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from companion.geodesy import FloatArray
+from companion.mavlink.checks import Check, SensorInputs, check, remark, who_is_heard
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.poses import Pose, Poses
-from companion.mavlink.preflight import Check, PreflightInputs, check, remark, who_is_heard
 from companion.mission.events import NearSeen, ScanDone, Vector
 from companion.mission.mission import Mission
 from companion.mission.state import Reason, State
@@ -370,7 +370,7 @@ class NearScanner:
         _, sees_m = self.sensing.limits_m
         return NearSeen(time_s=now_s, sight=sight, near=self._near, sees_m=sees_m)
 
-    def checks(self, session: PreflightInputs) -> Iterator[Check]:
+    def checks(self, session: SensorInputs) -> Iterator[Check]:
         """Whether it sees, and as far as the mission says."""
         sensor, sight = self._sensor, session.state.vehicle.sight
         what = f"{sensor.kind.upper()} of component {sensor.component_id}: {sight.value}"

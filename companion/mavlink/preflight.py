@@ -4,72 +4,51 @@ One list, for `companion preflight`, which shows it, and for `fly`, which does n
 passed (`Preflight`).
 """
 
-import enum
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, NamedTuple, Protocol, final
+from typing import Protocol, final
 
 from companion.mavlink import fence
 from companion.mavlink.autopilot_client import AutopilotClient
+from companion.mavlink.checks import (
+    PATIENCE_S,
+    Check,
+    CheckStatus,
+    SensorInputs,
+    check,
+    remark,
+)
 from companion.mavlink.dialect import COMPANION_COMPONENT
 from companion.mavlink.frames import Receiver
 from companion.mavlink.link import TO_COMPONENT_1, VehicleSelector, ids_in_words
 from companion.mavlink.plan_client import FENCE
+from companion.mavlink.sensors import Sensor
 from companion.mavlink.signing import Signing
 from companion.mission import ground, stopped
 from companion.mission.battery import battery_lasts
 from companion.mission.decisions import Context
-from companion.mission.events import Item, Landed, Prepared, ScanDone, Vector
+from companion.mission.events import Item, Landed, Prepared, Vector
 from companion.mission.health import distrust
 from companion.mission.mission import Mission
-from companion.mission.state import Phase, Reason, State
-
-if TYPE_CHECKING:  # they say of their checks what stands here
-    from companion.mavlink.sensors import Sensor
+from companion.mission.state import Phase, Reason
 
 _MAX_LOOKS = 3
-PATIENCE_S = 5.0  # for rates and delays that have not come yet
 _CHECK_S = 1.0  # between two looks at a vehicle that waits
 _LOOK_AGAIN_S = 60.0
 """Between two scans of a vehicle that waits: a radar that is off is told before the flight."""
 
 
-class CheckStatus(enum.Enum):
-    """Result of a check."""
-
-    PASSED = "ok"
-    NOTED = "note"
-    REFUSED = "refused"
-
-
-class Check(NamedTuple):
-    """One check of the list."""
-
-    name: str
-    status: CheckStatus
-    what: str
-    """The finding and the rule."""
-    remedy: str = ""
-
-
-class PreflightInputs(Protocol):
+class PreflightInputs(SensorInputs, Protocol):
     """The part of a session that the checks read."""
 
     mission: Mission
     context: Context
-    state: State
     vehicle: AutopilotClient | None
     vehicle_name: str
     selector: VehicleSelector
     receiver: Receiver
     signing: Signing | None
-    sensors: "tuple[Sensor, ...]"
-    last_scan: ScanDone | None
-
-    @property
-    def senders(self) -> list[tuple[int, int]]:
-        """All that were heard."""
-        ...
+    sensors: tuple[Sensor, ...]
 
 
 @final
@@ -176,17 +155,6 @@ def checks_of(session: PreflightInputs) -> list[Check]:
         *(each for sensor in session.sensors for each in sensor.checks(session)),
         *_signing(session),
     ]
-
-
-def check(name: str, passed: bool, what: str, remedy: str = "") -> Check:
-    """One that the vehicle passes, or that refuses the flight."""
-    status = CheckStatus.PASSED if passed else CheckStatus.REFUSED
-    return Check(name, status, what, "" if passed else remedy)
-
-
-def remark(name: str, what: str, remedy: str = "") -> Check:
-    """One that refuses nothing."""
-    return Check(name, CheckStatus.NOTED, what, remedy)
 
 
 # --- link, ids
@@ -343,11 +311,6 @@ def _battery(session: PreflightInputs) -> Check:
 
 
 # --- sensors
-
-
-def who_is_heard(session: PreflightInputs) -> str:
-    """Who is heard at all, where a sensor may only have other ids than the mission says."""
-    return f"; heard: {ids_in_words(session.senders)}"
 
 
 def _signing(session: PreflightInputs) -> Iterator[Check]:

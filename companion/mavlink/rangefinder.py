@@ -5,9 +5,9 @@ from collections import deque
 from collections.abc import Iterator
 from typing import Final, final
 
+from companion.mavlink.checks import PATIENCE_S, Check, SensorInputs, check
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.poses import Poses
-from companion.mavlink.preflight import PATIENCE_S, Check, PreflightInputs, check
 from companion.mission.events import GroundSeen
 from companion.mission.mission import Mission
 from companion.world.known_map import KnownMap
@@ -67,7 +67,7 @@ class Rangefinder:
             return GroundSeen(time_s=now_s, above_m=0.0)
         return None
 
-    def checks(self, session: PreflightInputs) -> Iterator[Check]:
+    def checks(self, session: SensorInputs) -> Iterator[Check]:
         """Whether it is heard."""
         heard = session.state.now_s - self.heard_s <= PATIENCE_S
         what = f"the one that faces down, of component 1: {'' if heard else 'not '}heard"

@@ -7,10 +7,10 @@ file ask for no more.  Sans-IO; times are those of the vehicle.
 from collections.abc import Callable, Iterator, Mapping
 from typing import Final, Protocol
 
+from companion.mavlink.checks import Check, SensorInputs
 from companion.mavlink.dialect import Message
 from companion.mavlink.near_sensing import NearScanner
 from companion.mavlink.poses import Poses, Reads
-from companion.mavlink.preflight import Check, PreflightInputs
 from companion.mavlink.rangefinder import Rangefinder
 from companion.mavlink.terrain_download import TerrainRadar
 from companion.mission.events import Event, ScanDone, Vector
@@ -33,7 +33,7 @@ class Sensor(Protocol):
     def seen(self, now_s: float, known: KnownMap, /) -> Event | None:
         """What is new: after each of its messages; if it needs poses, before a position is told."""
 
-    def checks(self, session: PreflightInputs) -> Iterator[Check]:
+    def checks(self, session: SensorInputs) -> Iterator[Check]:
         """Whether it works and fits the mission, before a flight."""
 
 

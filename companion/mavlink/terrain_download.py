@@ -15,9 +15,9 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from companion.geodesy import FloatArray, LocalFrame, deg, deg_e7, offset_deg
+from companion.mavlink.checks import Check, SensorInputs, check, remark, who_is_heard
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.poses import Reads
-from companion.mavlink.preflight import Check, PreflightInputs, check, remark, who_is_heard
 from companion.mission.events import ScanDone, Vector
 from companion.mission.mission import Mission
 from companion.mission.state import State
@@ -227,7 +227,7 @@ class TerrainRadar:
     def seen(self, _now_s: float, _known: KnownMap) -> None:
         """It says nothing by itself."""
 
-    def checks(self, session: PreflightInputs) -> Iterator[Check]:
+    def checks(self, session: SensorInputs) -> Iterator[Check]:
         """Whether it has answered."""
         state, scan, who = session.state, session.last_scan, self._mission.scanner_component_id
         if who is None:

@@ -10,7 +10,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from companion.geodesy import FloatArray
-from companion.mavlink.preflight import Check, CheckStatus
+from companion.mavlink.checks import Check, CheckStatus
 from companion.mission.events import Outcome
 from companion.mission.mission import EndAction, Mission
 from companion.path.certificate import Certificate

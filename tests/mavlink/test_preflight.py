@@ -16,10 +16,11 @@ from scripted_vehicle import straight_plan
 from wires import heard
 
 from companion.config import load_mission
+from companion.mavlink.checks import CheckStatus
 from companion.mavlink.dialect import codec, wire
 from companion.mavlink.frames import number_of
 from companion.mavlink.poses import Poses
-from companion.mavlink.preflight import CheckStatus, checks_of, waiting_for
+from companion.mavlink.preflight import checks_of, waiting_for
 from companion.mavlink.sensors import others_of, scanner_of
 from companion.mavlink.signing import Signing
 from companion.mission.events import Outcome

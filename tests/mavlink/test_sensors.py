@@ -11,9 +11,10 @@ from wires import heard, wire
 
 from companion.config import load_mission
 from companion.mavlink import sensors
+from companion.mavlink.checks import Check, check
 from companion.mavlink.near_sensing import NearScanner
 from companion.mavlink.poses import Poses
-from companion.mavlink.preflight import Check, check, checks_of
+from companion.mavlink.preflight import checks_of
 from companion.mavlink.rangefinder import Rangefinder
 from companion.mavlink.sensors import SENSORS, others_of, scanner_of
 from companion.mavlink.terrain_download import TerrainRadar
