@@ -26,8 +26,8 @@ from companion.config import (
     bundled,
     load_mission,
     load_world,
+    mission_files,
     mission_name,
-    mission_text,
     refuse_older,
 )
 from companion.errors import CompanionError, FlightFailed, FlightInterrupted, InputError
@@ -435,12 +435,14 @@ def _flown(
     recalled: what there was of the flight that is gone on with; None: it is a new one.
     """
     console, began, lockstep = shows.console, datetime.now(UTC), session.context.lockstep
+    text, beside = mission_files(mission)
     with contextlib.ExitStack() as until_shown:
         with (
             open_link(connect) as link,
             RunFolder(
                 folder_path,
-                mission_toml=mission_text(mission),
+                mission_toml=text,
+                beside=beside,
                 epoch_us=round(began.timestamp() * 1e6),
                 resume=recalled is not None,
                 durable=not lockstep,

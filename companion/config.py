@@ -43,9 +43,24 @@ def bundled() -> list[str]:
 def mission_text(name_or_path: str) -> str:
     """The mission file as it stands, or, if it names others, with what they hold.
 
-    So a run folder needs no other file to be flown again but the elevation file, if there is one.
+    An elevation file alone is named still, by its absolute path.
     """
+    return _text(name_or_path, _whole(name_or_path))
+
+
+def mission_files(name_or_path: str) -> tuple[str, dict[str, Path]]:
+    """A mission's text, and files by the names that it has for them: all that flying it needs."""
     whole = _whole(name_or_path)
+    if (file := elevation_file(name_or_path)) is None:
+        return _text(name_or_path, whole), {}
+    tile = Path(file)
+    name = tile.name if tile.suffix.lower() == ".hgt" else "terrain.tif"  # placed by its name
+    terrain = whole.table["terrain"] | {"file": name}
+    table = whole.table | {"terrain": terrain}
+    return _text(name_or_path, whole._replace(table=table)), {name: tile}
+
+
+def _text(name_or_path: str, whole: MissionFile) -> str:
     if whole.is_whole:
         return _read(name_or_path, "mission")
     head = [f"# As read from {plain(Path(name_or_path).name, 'a file')}."]

@@ -5,6 +5,7 @@
                    one more header for each time that the companion was started again
     inputs.msgpack all that the session was told: replayed, it does the same (`inputs`)
     mission.toml   the mission as flown (seed and profile: the journal's header)
+    terrain.tif    the elevation file that it names, if it does; of SRTM by the tile's own name
     run.json       what differs from run to run: when, where, how long plans took
     flight.png     the picture
     resume.json    where the mission stands, and known.npz, the known map: for a restart in flight
@@ -70,11 +71,14 @@ class RunFolder:
         path: Path,
         *,
         mission_toml: str,
+        beside: Mapping[str, Path] | None = None,
         epoch_us: int,
         resume: bool = False,
         durable: bool = True,
     ) -> None:
-        """epoch_us: microseconds since 1970 at vehicle time 0, for the log's stamps.
+        """beside: files that the mission names, to be copied, by their names in the folder.
+
+        epoch_us: microseconds since 1970 at vehicle time 0, for the log's stamps.
 
         durable: replaced files survive a power cut, not only this process.
 
@@ -98,6 +102,8 @@ class RunFolder:
                 rule = f"it holds a flight already ({held[0]})"
                 raise InputError("--out", str(path), rule, "Give a new folder, or --resume.")
             if "mission.toml" not in held:
+                for name, file in (beside or {}).items():
+                    replace_whole(path / name, file.read_bytes(), durable=durable)
                 replace_whole(path / "mission.toml", mission_toml.encode(), durable=durable)
             self._lock()
             if held:

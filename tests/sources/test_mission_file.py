@@ -19,11 +19,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from planning import column_distance_m
 
+from companion.config import load_mission, mission_files
 from companion.errors import InputError
 from companion.geodesy import FloatArray, LocalFrame
 from companion.optimise.registry import OPTIMISERS
 from companion.sources.mission_file import MissionTable
 from companion.sources.zones import ZoneTable, zones_of
+from companion.telemetry.run_folder import RunFolder
 from companion.world.zones import CircleZone
 
 FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
@@ -206,6 +208,21 @@ def test_the_ground_is_nowhere_higher_than_the_known_map_says(folder: Path) -> N
     assert np.isinf(guidance.upper_m).all()
     assert not guidance.surveyed.any()
     np.testing.assert_array_equal(guidance.guess_m, known.upper_m)
+
+
+def test_what_a_run_folder_keeps_of_a_mission_is_the_mission_without_its_files(
+    tmp_path: Path,
+) -> None:
+    terrain(tmp_path / "dem.tif")
+    begun = mission(tmp_path, KNOWS)
+    (file,) = tmp_path.glob("*.toml")
+    text, beside = mission_files(str(file))
+    with RunFolder(tmp_path / "run", mission_toml=text, beside=beside, epoch_us=1):
+        pass
+    (tmp_path / "dem.tif").unlink()
+    again = load_mission(str(tmp_path / "run" / "mission.toml"))
+    assert again.task == begun.task
+    np.testing.assert_array_equal(again.known.upper_m, begun.known.upper_m)
 
 
 def test_beyond_the_file_nothing_is_known_even_if_holes_in_it_are_sea(tmp_path: Path) -> None:
