@@ -298,9 +298,12 @@ class Session:
         if self.vehicle is None or self.context.shadow:
             return ()
         messages: list[Message] = []
+        traits = self.state.vehicle.traits
         for command in parting(self.state):
-            if isinstance(command, SetMode):
-                command = SetMode(mode=command.mode)  # anywhere, as this is told once
+            circles = isinstance(command, SetMode) and command.at_nea_m and not traits.hovers
+            if circles and not traits.holds_in_guided:
+                # anywhere first: this is told once, and it may refuse to hold on its circle
+                messages += self.vehicle.command_messages(SetMode(mode=Mode.HOLD), self.state)
             messages += self.vehicle.command_messages(command, self.state)
         return messages
 

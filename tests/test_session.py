@@ -24,6 +24,8 @@ from scripted_vehicle import (
 )
 
 from companion.config import load_mission
+from companion.mavlink.autopilots import ARDUPLANE, PX4_FIXED_WING
+from companion.mavlink.autopilots.common import Autopilot
 from companion.mission import checkpoint
 from companion.mission.events import Outcome
 from companion.mission.mission import EndAction
@@ -432,6 +434,22 @@ def test_hold_frames_and_a_farewell_put_a_vehicle_that_flies_for_us_on_hold() ->
     assert heartbeat.get_type() == "HEARTBEAT"
     it.vehicle.mode = 5  # somebody takes it
     assert it.fly_to(Phase.HOLDING).session.hold_frames() == []
+
+
+@pytest.mark.parametrize("kind", [ARDUPLANE, PX4_FIXED_WING], ids=lambda kind: kind.name)
+def test_a_plane_that_circles_is_left_on_its_circle(kind: Autopilot) -> None:
+    """By itself it would hold on another, a radius beside: nobody has proven that one."""
+    it = deepcopy(flying())
+    state, vehicle = it.session.state, it.session.vehicle
+    assert vehicle is not None
+    assert state.path is not None
+    vehicle.autopilot, state.vehicle.traits = kind, kind.traits
+    state.path.circling, state.flight.hover_nea_m = True, (30.0, 40.0, 650.0)
+    *modes, circle = messages(it.session.hold_frames())
+    assert (circle.command, circle.z) == (wire.MAV_CMD_DO_REPOSITION, 650.0)
+    place = [circle.x * 1e-7, circle.y * 1e-7]
+    assert place == pytest.approx(it.session.mission.frame.to_geodetic_deg(30.0, 40.0), abs=1e-6)
+    assert [each.command for each in modes] == [176] * (kind is PX4_FIXED_WING)
 
 
 @pytest.mark.parametrize("phase", [Phase.FLYING, Phase.LANDING])

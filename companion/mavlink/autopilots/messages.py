@@ -160,7 +160,7 @@ def position_target(
     """SET_POSITION_TARGET_GLOBAL_INT in frame 5: AMSL, which all autopilots get right.
 
     By default position, velocity and yaw, for multicopters: to hold is a velocity of zero.  Yaw is
-    clockwise from true north, within half a turn.  None as for `SetpointEncoder`.
+    clockwise from true north, within half a turn.  None as for `Autopilot.setpoint`.
     """
     position, velocity = setpoint.position_nea_m, setpoint.velocity_nea_m_s
     numbers = math.isfinite(setpoint.yaw_rad) and 0.0 <= setpoint.time_s < _LATEST_S
