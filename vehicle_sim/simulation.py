@@ -281,8 +281,13 @@ class Simulation:
         near_m = self.contact.look(self.now_us)
         mode, armed = shown = self.mode_name, self.armed
         state, local_m = (mode, armed, self.landed), self.contact.local_m
-        line = truth.line(self.now_us, local_m, self.vehicle, state, near_m, self.crash)
-        self._truth.append(line)
+        estimate, believed = self._controller.autopilot.estimate, None
+        if estimate.position_ok and not self._is_down:
+            at_ne_m = self._world.frame.to_local(estimate.latitude_deg, estimate.longitude_deg)
+            believed = (*at_ne_m, estimate.altitude_amsl_m)
+        self._truth.append(
+            truth.line(self.now_us, local_m, self.vehicle, state, near_m, believed, self.crash)
+        )
         if shown != self._shown:
             self._shown = shown
             self._notice(f"{mode}, {'armed' if armed else 'disarmed'}")

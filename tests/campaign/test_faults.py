@@ -11,7 +11,7 @@ import pytest
 
 from companion.campaign import drawn_faults, drawn_world, families, in_process, judge
 from companion.campaign.drawn_faults import FAMILIES, FaultScript, ways
-from companion.campaign.in_process import Flight
+from companion.campaign.in_process import Flight, FlightFiles
 from companion.config import load_mission
 from companion.errors import InputError
 from companion.mission.state import Reason
@@ -65,6 +65,7 @@ def flight(
     places: Places,
     *,
     told_off_m: float = 0.0,
+    believed: Places | None = None,
     mode: str = "GUIDED",
     by_others: range = range(0),
     up_m: float = HIGH_M,
@@ -73,13 +74,17 @@ def flight(
     """A second at each place, at a height where there is no ground in the way.
 
     by_others: the places over which a copter's pilot flies it.
+    believed: where its autopilot then believes to be; None: the truth does not tell.
     """
-    truth = []
+    truth = list[dict[str, Any]]()
     for k in range(10 * len(places)):
         north_m, east_m = places[k // 10]
         row = {"t_s": round(0.1 * (k + 1), 1), "north_m": north_m, "east_m": east_m}
         row |= {"altitude_amsl_m": up_m, "mode": "LOITER" if k // 10 in by_others else mode}
         row |= {"velocity_north_m_s": 0.0, "velocity_east_m_s": 0.0}
+        if believed is not None:
+            place = zip(("north_m", "east_m"), believed[k // 10], strict=True)
+            row["believed"] = {"altitude_amsl_m": up_m, **dict(place)}
         truth.append(row | {"armed": True, "landed": False})
     journal = [{"t_s": 0.0, "kind": "phase", "phase": "flying", "code": None, "reason": None}]
     ended = {"t_s": truth[-1]["t_s"], "kind": "end", "outcome": "arrived", "reason": "there"}
@@ -132,7 +137,9 @@ FAILED = {"outcome": "failed"}
 SILENT = FAILED | {"reason": "the vehicle fell silent"}
 HELD = FAILED | {"mode": "BRAKE", "reason": "no way"}
 TAKEN = FAILED | {"mode": "LOITER", "reason": Reason.MODE_TAKEN.text}
-NEAR = there((3, beside(0.0)))
+NEAR, CLEAR = there((3, beside(0.0))), there((3, beside(12.2)))
+NEARER = [*CLEAR[:2], beside(11.5), TARGET]
+SOON, LATE = there((10, beside(0.0))), there((12, beside(0.0)))
 TWICE = there((3, beside(0.0)), (5, TARGET), (10, beside(0.0)))
 LEFT = [(16, INSIDE), (10, OUTSIDE)]
 BEFORE = there((3, INSIDE), (2, OUTSIDE), (2, INSIDE), (10, OUTSIDE))
@@ -146,10 +153,15 @@ COUNTY_ALONE = {"kind": "say", "world": with_task(zones=(COUNTY,))}
 JUDGED: dict[str, tuple[Places, str | None, dict[str, Any], int, str]] = {
     "as near as the safety distance": (there((3, beside(12.2))), "", {}, 0, ""),
     "nearer": (there((3, beside(11.5))), "", {}, 1, ""),
-    "inside": (there((3, beside(-3.0))), "", {}, 1, ""),
     # what it could not know of excuses it, and so does whoever else flew
     "told wrong by its error": (NEAR, "", {"told_off_m": 2.5}, 1, ""),
     "told wrong by more": (NEAR, "", {"told_off_m": 3.5}, 0, ""),
+    # untold, its autopilot's own error does where that believed to be clear; then comes a grace
+    "misled": (NEAR, "", {"believed": CLEAR}, 0, ""),
+    "misled, and near there too": (NEAR, "", {"believed": NEARER}, 1, ""),
+    "misled by its error": (there((3, beside(10.0))), "", {"believed": CLEAR}, 1, ""),
+    "right again, and gone": (SOON, "", {"believed": [*CLEAR[:1], *SOON[1:]]}, 0, ""),
+    "right again, and not gone": (LATE, "", {"believed": [*CLEAR[:1], *LATE[1:]]}, 1, ""),
     "told too low heights": (NEAR, TOO_LOW, {}, 0, ""),
     "flown by the autopilot": (TWICE, "", {"mode": "RTL"}, 0, ""),
     "flown by a pilot": (TWICE, "", {"by_others": range(99)}, 0, ""),
@@ -164,7 +176,6 @@ JUDGED: dict[str, tuple[Places, str | None, dict[str, Any], int, str]] = {
     "one that a plane does not leave": (there((80, INSIDE)), FENCE, PLANE, 1, ""),
     "within a keep-in": ([(-1_200.0, 37.0)] * 3, None, COUNTY_ALONE, 0, ""),
     "near its edge": ([(-1_200.0, 39.0)] * 3, None, COUNTY_ALONE, 1, ""),
-    "outside it": ([(-1_200.0, 60.0)] * 3, None, COUNTY_ALONE, 1, ""),
     # the time for that begins when it is given back
     "given back inside": (there((52, INSIDE)), FENCE, BACK, 0, ""),
     "given back, and not left": (there((70, INSIDE)), FENCE, BACK, 1, ""),
@@ -236,6 +247,21 @@ def test_a_crash_violates_unless_somebody_else_flew_or_it_was_landing(
     assert len(after := violated(flown)) - len(before) == count
     assert (said in after) == bool(count)
     assert said in violated(flown, None)
+
+
+def test_a_reset_that_nobody_could_tell_it_of_is_the_simulators_to_tell(tmp_path: Path) -> None:
+    """Its link is off, and it holds 42 m beside where it believes to be."""
+    world, mission = drawn_world.write(DRAWN, tmp_path / "files")
+    timeline = "at 68 s: link_off\nat 70 s: estimator_reset 42 m north"
+    files = FlightFiles(world=world, mission=mission, faults=timeline, folder=tmp_path)
+    flown = in_process.fly_here(files, seed=1, limit_s=84.0)
+    last = flown.truth[-1]
+    assert last["believed"]["north_m"] - last["north_m"] == pytest.approx(42.0, abs=0.5)
+    here = CircleZone(name="here", north_m=last["north_m"], east_m=last["east_m"], radius_m=5.0)
+    assert violated(flown, timeline, with_task(zones=(here,))) == []
+    for row in flown.truth:
+        row.pop("believed", None)  # as in older files
+    assert len(violated(flown, timeline, with_task(zones=(here,)))) == 1
 
 
 def test_faults_are_judged_in_lidar_missions_too() -> None:
