@@ -99,7 +99,7 @@ class Simulation:
         self._battery = Battery(model=self._personality.battery)
         self.plans = Plans()
         """Mission, fence and rally points as the autopilot stores them."""
-        self._timeline = Timeline.parse(faults, name="faults")
+        self._timeline = Timeline(faults, name="faults")
         self._boots = self._down_until_us = 0
         self._hardware_id = int(generator(seed, "hardware id").integers(1, 2**63))
         scanner, lidars = world.scanner, world.lidars
@@ -285,9 +285,8 @@ class Simulation:
         if estimate.position_ok and not self._is_down:
             at_ne_m = self._world.frame.to_local(estimate.latitude_deg, estimate.longitude_deg)
             believed = (*at_ne_m, estimate.altitude_amsl_m)
-        self._truth.append(
-            truth.line(self.now_us, local_m, self.vehicle, state, near_m, believed, self.crash)
-        )
+        line = truth.line(self.now_us, local_m, self.vehicle, state, near_m, believed, self.crash)
+        self._truth.append(line)
         if shown != self._shown:
             self._shown = shown
             self._notice(f"{mode}, {'armed' if armed else 'disarmed'}")

@@ -45,9 +45,8 @@ def line(
     (north_m, east_m), (mode, armed, landed) = local_m, state
     rest = "" if near_m is None else f', "near_m": {near_m:.3f}'
     if believed_nea_m is not None:
-        n, e, a = believed_nea_m
-        place = f'{{"north_m": {n:.4f}, "east_m": {e:.4f}, "altitude_amsl_m": {a:.4f}}}'
-        rest += f', "believed": {place}'
+        place = '"north_m": {:.4f}, "east_m": {:.4f}, "altitude_amsl_m": {:.4f}'
+        rest += f', "believed": {{{place.format(*believed_nea_m)}}}'
     if crash is not None:
         rounded = [round(v, 4) if isinstance(v, float) else v for v in crash]
         rest += f', "crash": {json.dumps(dict(zip(crash._fields, rounded, strict=True)))}'

@@ -52,7 +52,7 @@ def test_a_script_can_be_flown_and_is_the_same_again(family: str, vehicle: str) 
         entries = faults.entries(timeline)
         assert len(entries) == len(timeline.splitlines())
         if all(each.fault.name != COMPANION_OFF for each in entries):
-            Timeline.parse(timeline)
+            Timeline(timeline)
     assert len({timeline for _, timeline in found}) > 50
 
 
