@@ -171,11 +171,6 @@ class Simulation:
         return min(float(met_m[0]), _FARTHEST_DOWN_M)
 
     @property
-    def system_id(self) -> int:
-        """Of the vehicle."""
-        return self._radio.router.ids[0]
-
-    @property
     def mode_name(self) -> str:
         """The autopilot's mode."""
         return self._controller.autopilot.mode.name
@@ -328,7 +323,7 @@ class Simulation:
                 order = ground_station.order(happening, self.vehicle, *self._radio.router.ids)
                 controller.receive(order, ground_station.STATION, self.now_us)
             case _:
-                to = self.system_id, self.companion.component if self.companion else 0
+                to = self._radio.router.ids[0], self.companion.component if self.companion else 0
                 order = ground_station.order(happening, self.vehicle, *to)
                 self._radio.send(order, source=ground_station.STATION[:2])
 

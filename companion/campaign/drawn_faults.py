@@ -5,7 +5,6 @@ simulator's (docs/reference/faults.md), whose rows say in which ways a fault is 
 """
 
 import re
-from dataclasses import dataclass
 from typing import Final, NamedTuple, final
 
 import numpy as np
@@ -24,8 +23,7 @@ _PLANES_SIZE: Final = 3.5
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FaultScript:
+class FaultScript(NamedTuple):
     """Which one of a family."""
 
     family: str

@@ -62,9 +62,10 @@ _NO_END: Final = {"outcome": "not ended", "reason": "the companion has not said 
 
 def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str, Any]:
     """The columns of a row.  timeline: what goes wrong in the flight; None: nothing does."""
-    columns, with_faults, is_cut = _came_to(flight, drawn), timeline is not None, False
-    if with_faults:
-        flight, is_cut = _until_stopped(flight)
+    columns, with_faults = _came_to(flight, drawn), timeline is not None
+    stops = flight.entries(kind="stop asked") if with_faults else []
+    if stops:  # its time was over
+        flight = _before(flight, stops[0])
     case = _Case(flight, drawn, simulator().entries(timeline) if timeline else [])
     columns |= case.flown()
     if not with_faults and not len(case.t_s):
@@ -76,7 +77,7 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str,
         why = ", ".join(name for name, when in excuses.items() if when[at])
         (excused if why else known).append(f"{what} ({why})" if why else what)
     if with_faults:
-        ending, reason = case.ending(is_cut=is_cut)
+        ending, reason = case.ending(is_cut=bool(stops))
         if ending.startswith("unexplained"):
             known.append(f"{ending}: {reason}")
         elif not case.happenings and ending not in _THERE:
@@ -113,13 +114,10 @@ def _came_to(flight: Flight, drawn: DrawnWorld) -> dict[str, Any]:
     }
 
 
-def _until_stopped(flight: Flight) -> tuple[Flight, bool]:
-    """A flight without what followed when its time was over, and whether that was so."""
-    if not (stop := flight.entries(kind="stop asked")):
-        return flight, False
-    rows = [row for row in flight.truth if row["t_s"] <= stop[0]["t_s"]]
-    journal = flight.journal[: flight.journal.index(stop[0])]
-    return replace(flight, journal=journal, truth=rows), True
+def _before(flight: Flight, entry: dict[str, Any]) -> Flight:
+    """A flight without an entry of its journal and what followed it."""
+    rows = [row for row in flight.truth if row["t_s"] <= entry["t_s"]]
+    return replace(flight, journal=flight.journal[: flight.journal.index(entry)], truth=rows)
 
 
 def _points(rows: Sequence[dict[str, Any]]) -> FloatArray:
@@ -154,14 +152,12 @@ class _Case:
         self.lands = np.array([row["mode"] in LANDS | RETURNS for row in rows], bool)
         """Whether it lands or returns by itself: the ground may be near then."""
         self.has_a_say = self._has_a_say(rows)
-        """Whether the companion has a say."""
         self.away_m = self._measured_m()
 
     def _measured_m(self) -> FloatArray:
         """To the ground, or to the nearest of near things; (N,), infinite while it lands."""
-        if self.flight.mission.near is not None or not self.rows:
-            away_m = np.array([row.get("near_m", math.inf) for row in self.rows])
-        else:
+        away_m = np.array([row.get("near_m", math.inf) for row in self.rows])
+        if self.flight.mission.near is None and self.rows:
             up_to_m = 2.0 * self.drawn.task.required_clearance_m
             away_m = truth.terrain_distance_m(self.points_nea_m, self.drawn.terrain, up_to_m)
         return np.where(self.lands, np.inf, away_m)
@@ -190,8 +186,7 @@ class _Case:
         if flown.sum() < 2:
             return {}
         t_s, away_m = self.t_s[flown], self.away_m[flown]
-        columns = of_track(self.points_nea_m[flown], self.drawn)
-        columns |= {"flight_s": float(t_s[-1] - t_s[0])}
+        columns = of_track(self.points_nea_m[flown], self.drawn) | {"flight_s": np.ptp(t_s).item()}
         least = int(np.argmin(away_m))
         if math.isfinite(away_m[least]):
             columns["clearance_least_m"] = float(away_m[least])
