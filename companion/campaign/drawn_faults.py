@@ -5,6 +5,7 @@ simulator's (docs/reference/faults.md), whose rows say in which ways a fault is 
 """
 
 import re
+from dataclasses import dataclass
 from typing import Final, NamedTuple, final
 
 import numpy as np
@@ -23,7 +24,8 @@ _PLANES_SIZE: Final = 3.5
 
 
 @final
-class FaultScript(NamedTuple):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FaultScript:
     """Which one of a family."""
 
     family: str

@@ -64,8 +64,10 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str,
     """The columns of a row.  timeline: what goes wrong in the flight; None: nothing does."""
     columns, with_faults = _came_to(flight, drawn), timeline is not None
     stops = flight.entries(kind="stop asked") if with_faults else []
-    if stops:  # its time was over
-        flight = _before(flight, stops[0])
+    if stops:  # what followed when its time was over does not count
+        rows = [row for row in flight.truth if row["t_s"] <= stops[0]["t_s"]]
+        journal = flight.journal[: flight.journal.index(stops[0])]
+        flight = replace(flight, journal=journal, truth=rows)
     case = _Case(flight, drawn, simulator().entries(timeline) if timeline else [])
     columns |= case.flown()
     if not with_faults and not len(case.t_s):
@@ -112,12 +114,6 @@ def _came_to(flight: Flight, drawn: DrawnWorld) -> dict[str, Any]:
         "plans": sum(e["kind"] in ("plan ready", "plan refused") for e in flight.journal),
         "holds": sum(e["code"] not in codes for e in flight.entries(phase="holding")),
     }
-
-
-def _before(flight: Flight, entry: dict[str, Any]) -> Flight:
-    """A flight without an entry of its journal and what followed it."""
-    rows = [row for row in flight.truth if row["t_s"] <= entry["t_s"]]
-    return replace(flight, journal=flight.journal[: flight.journal.index(entry)], truth=rows)
 
 
 def _points(rows: Sequence[dict[str, Any]]) -> FloatArray:
