@@ -242,7 +242,7 @@ def _timeline(file: Path) -> str:
     except (OSError, UnicodeDecodeError) as error:
         rule = f"cannot be read ({getattr(error, 'strerror', None) or 'not a text file'})"
         raise InputError("--faults", str(file), rule, "Name a file with a fault a line.") from None
-    Timeline.parse(text, name=str(file))
+    Timeline(text, name=str(file))
     return text
 
 

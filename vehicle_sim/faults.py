@@ -20,7 +20,7 @@ import math
 import re
 from collections.abc import Iterable
 from itertools import cycle, pairwise
-from typing import Any, Final, Literal, NamedTuple, Self, final
+from typing import Any, Final, Literal, NamedTuple, final
 
 from vehicle_sim.errors import InputError, did_you_mean
 from vehicle_sim.parameters import Firmware, Kind, Parameter, Readable
@@ -565,21 +565,16 @@ class Entry(NamedTuple):
 class Timeline:
     """Faults to come; one for each vehicle, for it remembers where it is."""
 
-    def __init__(self) -> None:
+    def __init__(self, text: str, *, name: str = "timeline") -> None:
+        """Those of this text; InputError names file (`name`), line and what is wrong."""
         self._entries: list[Entry] = []
         """Those that are not over, in order of their begin."""
         self.lasting: list[Entry] = []
         """Now, the last begun last."""
         self.next_us = NEVER_US
         """When something is due next: nothing is before."""
-
-    @classmethod
-    def parse(cls, text: str, *, name: str = "timeline") -> Self:
-        """The timeline of this text; InputError names file (`name`), line and what is wrong."""
-        timeline = cls()
         for entry in entries(text, name):
-            timeline._add(entry)
-        return timeline
+            self._add(entry)
 
     def add(self, line: str, now_us: int) -> None:
         """A fault from now on: a line without its time, as "gps_off" or "for 30 s: gps_off"."""

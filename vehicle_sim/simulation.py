@@ -99,7 +99,7 @@ class Simulation:
         self._battery = Battery(model=self._personality.battery)
         self.plans = Plans()
         """Mission, fence and rally points as the autopilot stores them."""
-        self._timeline = Timeline.parse(faults, name="faults")
+        self._timeline = Timeline(faults, name="faults")
         self._boots = self._down_until_us = 0
         self._hardware_id = int(generator(seed, "hardware id").integers(1, 2**63))
         scanner, lidars = world.scanner, world.lidars
@@ -169,11 +169,6 @@ class Simulation:
         down, scene = body_axes_neu(self.vehicle)[2:], self.contact.scene
         met_m = scene.ray_lengths_m(self.contact.place_nea_m(), down, _FARTHEST_DOWN_M)
         return min(float(met_m[0]), _FARTHEST_DOWN_M)
-
-    @property
-    def system_id(self) -> int:
-        """Of the vehicle."""
-        return self._radio.router.ids[0]
 
     @property
     def mode_name(self) -> str:
@@ -281,7 +276,11 @@ class Simulation:
         near_m = self.contact.look(self.now_us)
         mode, armed = shown = self.mode_name, self.armed
         state, local_m = (mode, armed, self.landed), self.contact.local_m
-        line = truth.line(self.now_us, local_m, self.vehicle, state, near_m, self.crash)
+        estimate, believed = self._controller.autopilot.estimate, None
+        if estimate.position_ok and not self._is_down:
+            at_ne_m = self._world.frame.to_local(estimate.latitude_deg, estimate.longitude_deg)
+            believed = (*at_ne_m, estimate.altitude_amsl_m)
+        line = truth.line(self.now_us, local_m, self.vehicle, state, near_m, believed, self.crash)
         self._truth.append(line)
         if shown != self._shown:
             self._shown = shown
@@ -324,7 +323,7 @@ class Simulation:
                 order = ground_station.order(happening, self.vehicle, *self._radio.router.ids)
                 controller.receive(order, ground_station.STATION, self.now_us)
             case _:
-                to = self.system_id, self.companion.component if self.companion else 0
+                to = self._radio.router.ids[0], self.companion.component if self.companion else 0
                 order = ground_station.order(happening, self.vehicle, *to)
                 self._radio.send(order, source=ground_station.STATION[:2])
 

@@ -31,17 +31,22 @@ def line(
     vehicle: Vehicle,
     state: tuple[str, bool, bool],
     near_m: float | None,
-    crash: Crash | None = None,
+    believed_nea_m: tuple[float, float, float] | None,
+    crash: Crash | None,
 ) -> str:
     """One moment; state: mode, whether it is armed, whether it stands on the ground.
 
     near_m: least distance to any near thing since the moment before, None: no things.
+    believed_nea_m: where its autopilot believes to be, None: it has no position to fly by.
     crash: the first of the flight, as soon as there was one.
 
     Written by hand: json.dumps would take longer than the flying.
     """
     (north_m, east_m), (mode, armed, landed) = local_m, state
     rest = "" if near_m is None else f', "near_m": {near_m:.3f}'
+    if believed_nea_m is not None:
+        place = '"north_m": {:.4f}, "east_m": {:.4f}, "altitude_amsl_m": {:.4f}'
+        rest += f', "believed": {{{place.format(*believed_nea_m)}}}'
     if crash is not None:
         rounded = [round(v, 4) if isinstance(v, float) else v for v in crash]
         rest += f', "crash": {json.dumps(dict(zip(crash._fields, rounded, strict=True)))}'

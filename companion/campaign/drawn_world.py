@@ -52,16 +52,6 @@ class DrawnWorld:
     targets_ne_m: tuple[tuple[float, float], ...]
 
     @property
-    def floor_amsl_m(self) -> float:
-        """Lowest altitude to plan for."""
-        return self.task.band_amsl_m[0]
-
-    @property
-    def ceiling_amsl_m(self) -> float:
-        """Highest altitude to plan for."""
-        return self.task.band_amsl_m[1]
-
-    @property
     def fingerprint(self) -> str:
         """A hash of the world and of what is to be flown in it, whatever it is called."""
         heights, terrain = b"", self.terrain
@@ -141,13 +131,13 @@ def lowest_safe_m(
 @functools.lru_cache(maxsize=4)
 def free_at_floor(world: DrawnWorld) -> BoolArray:
     """Lattice points that are clear of terrain, radars and keep-outs at the floor of the band."""
-    cell = _cell_m(world)
+    cell, (floor_amsl_m, _) = _cell_m(world), world.task.band_amsl_m
     north, east = np.meshgrid(*axes_m(world, cell), indexing="ij")
     clearance, aside = world.task.required_clearance_m, world.task.limits.loiter_radius_m
-    free = lowest_safe_m(world, cell, clearance + 0.5 * cell, aside) <= world.floor_amsl_m
+    free = lowest_safe_m(world, cell, clearance + 0.5 * cell, aside) <= floor_amsl_m
     for radar in world.task.radars:
         n, e, altitude = radar.centre_nea_m
-        squared = (north - n) ** 2 + (east - e) ** 2 + (world.floor_amsl_m - altitude) ** 2
+        squared = (north - n) ** 2 + (east - e) ** 2 + (floor_amsl_m - altitude) ** 2
         free &= squared > radar.range_m**2
     for zone in world.task.zones:
         free &= zone.distance_m(north, east) > clearance + aside

@@ -6,6 +6,8 @@ goes wrong, that counts against the companion unless, at that moment or in the t
 
 - the vehicle was not where its autopilot said: the position that the companion was told last lay
   off the true one by more than the mission's navigation_error_m;
+- or its autopilot was wrong by as much, told or not, and clear of everything where it believed to
+  be: for so long as it is wrong that is looked at in each moment;
 - somebody else flew: the mode was not one that the companion had asked for (a pilot, a ground
   station, the autopilot's own failsafe, or what it went back to by itself when that was over: the
   companion has let go, design 7);
@@ -19,6 +21,7 @@ unless no command could reach it then: a copter that hears nothing hovers.
 """
 
 import bisect
+import copy
 import math
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -59,9 +62,12 @@ _NO_END: Final = {"outcome": "not ended", "reason": "the companion has not said 
 
 def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str, Any]:
     """The columns of a row.  timeline: what goes wrong in the flight; None: nothing does."""
-    columns, with_faults, is_cut = _came_to(flight, drawn), timeline is not None, False
-    if with_faults:
-        flight, is_cut = _until_stopped(flight)
+    columns, with_faults = _came_to(flight, drawn), timeline is not None
+    stops = flight.entries(kind="stop asked") if with_faults else []
+    if stops:  # what followed when its time was over does not count
+        rows = [row for row in flight.truth if row["t_s"] <= stops[0]["t_s"]]
+        journal = flight.journal[: flight.journal.index(stops[0])]
+        flight = replace(flight, journal=journal, truth=rows)
     case = _Case(flight, drawn, simulator().entries(timeline) if timeline else [])
     columns |= case.flown()
     if not with_faults and not len(case.t_s):
@@ -73,7 +79,7 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str,
         why = ", ".join(name for name, when in excuses.items() if when[at])
         (excused if why else known).append(f"{what} ({why})" if why else what)
     if with_faults:
-        ending, reason = case.ending(is_cut=is_cut)
+        ending, reason = case.ending(is_cut=bool(stops))
         if ending.startswith("unexplained"):
             known.append(f"{ending}: {reason}")
         elif not case.happenings and ending not in _THERE:
@@ -110,15 +116,6 @@ def _came_to(flight: Flight, drawn: DrawnWorld) -> dict[str, Any]:
     }
 
 
-def _until_stopped(flight: Flight) -> tuple[Flight, bool]:
-    """A flight without what followed when its time was over, and whether that was so."""
-    if not (stop := flight.entries(kind="stop asked")):
-        return flight, False
-    rows = [row for row in flight.truth if row["t_s"] <= stop[0]["t_s"]]
-    journal = flight.journal[: flight.journal.index(stop[0])]
-    return replace(flight, journal=journal, truth=rows), True
-
-
 def _points(rows: Sequence[dict[str, Any]]) -> FloatArray:
     """North, east, altitude of rows of truth; (N, 3)."""
     keys = ("north_m", "east_m", "altitude_amsl_m")
@@ -137,9 +134,10 @@ class _Case:
         self.airborne_s = min((e["t_s"] for e in flight.entries(phase="flying")), default=math.inf)
         self.begun_s = min((e["t_s"] for e in flight.entries(kind="leg")), default=-math.inf)
         """When its first subpath was begun, by the journal; -inf: none was."""
-        terrain, task = drawn.terrain, drawn.task
+        self.least_m = drawn.task.settings.safety_distance_m - _SLACK_M
+        terrain = drawn.terrain
         ground_m = terrain.ground_amsl_m if isinstance(terrain, PeakTerrain) else -math.inf
-        rows = [
+        self.rows = rows = [
             row
             for row in flight.truth
             if row["t_s"] >= self.airborne_s
@@ -150,14 +148,15 @@ class _Case:
         self.lands = np.array([row["mode"] in LANDS | RETURNS for row in rows], bool)
         """Whether it lands or returns by itself: the ground may be near then."""
         self.has_a_say = self._has_a_say(rows)
-        """Whether the companion has a say."""
-        if flight.mission.near is not None or not rows:
-            away_m = np.array([row.get("near_m", math.inf) for row in rows])
-        else:
-            up_to_m = 2.0 * task.required_clearance_m
-            away_m = truth.terrain_distance_m(self.points_nea_m, terrain, up_to_m)
-        self.away_m = np.where(self.lands, np.inf, away_m)
-        """To the ground, or to the nearest of near things; infinite while it lands."""
+        self.away_m = self._measured_m()
+
+    def _measured_m(self) -> FloatArray:
+        """To the ground, or to the nearest of near things; (N,), infinite while it lands."""
+        away_m = np.array([row.get("near_m", math.inf) for row in self.rows])
+        if self.flight.mission.near is None and self.rows:
+            up_to_m = 2.0 * self.drawn.task.required_clearance_m
+            away_m = truth.terrain_distance_m(self.points_nea_m, self.drawn.terrain, up_to_m)
+        return np.where(self.lands, np.inf, away_m)
 
     def _has_a_say(self, rows: Sequence[dict[str, Any]]) -> BoolArray:
         """Whether the mode is guided, or the one that the companion asked for last; (N,).
@@ -183,8 +182,7 @@ class _Case:
         if flown.sum() < 2:
             return {}
         t_s, away_m = self.t_s[flown], self.away_m[flown]
-        columns = of_track(self.points_nea_m[flown], self.drawn)
-        columns |= {"flight_s": float(t_s[-1] - t_s[0])}
+        columns = of_track(self.points_nea_m[flown], self.drawn) | {"flight_s": np.ptp(t_s).item()}
         least = int(np.argmin(away_m))
         if math.isfinite(away_m[least]):
             columns["clearance_least_m"] = float(away_m[least])
@@ -203,10 +201,25 @@ class _Case:
                 known[row.excuse] = since | known.get(row.excuse, since)
         is_off = self._off_m() > self.drawn.task.limits.navigation_error_m
         return {
-            "the position was wrong": self._lately(is_off),
+            "the position was wrong": self._lately(is_off) | self._misled(),
             "somebody else flew": self._lately(~self.has_a_say),
             **dict(sorted(known.items())),
         }
+
+    def _misled(self) -> BoolArray:
+        """When its autopilot was wrong, and clear of everything where it believed to be; (N,).
+
+        Among near things never: how far it believed to be from them no truth tells.
+        """
+        believed = copy.copy(self)
+        believed.points_nea_m = _points([row.get("believed", row) for row in self.rows])
+        off_m = np.linalg.norm(believed.points_nea_m - self.points_nea_m, axis=-1)
+        is_off = off_m > self.drawn.task.limits.navigation_error_m
+        if self.flight.mission.near is not None or not is_off.any():
+            return np.zeros_like(is_off)
+        believed.away_m = believed._measured_m()
+        is_clear = np.min([gap_m for _, gap_m in believed._gaps_m()], axis=0) >= self.least_m
+        return np.where(is_off, is_clear, self._lately(is_off & is_clear))
 
     def _lately(self, is_so: BoolArray) -> BoolArray:
         """When something is so, or was less than the grace ago; (N,)."""
@@ -228,7 +241,7 @@ class _Case:
     def too_near(self, is_excused: BoolArray) -> Iterator[tuple[str, int]]:
         """What lay nearer than d_s, once of what counts and once of what is excused."""
         for what, gap_m in self._gaps_m():
-            bad = gap_m < self.drawn.task.settings.safety_distance_m - _SLACK_M
+            bad = gap_m < self.least_m
             for where in (bad & ~is_excused, bad & is_excused):
                 if where.any():
                     at = int(np.argmax(where))

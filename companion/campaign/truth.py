@@ -53,11 +53,6 @@ class Curve(NamedTuple):
         stands = speed <= _STILL * speed.max()
         return np.where(stands, 0.0, (n1 * e2 - e1 * n2) / np.where(stands, 1.0, speed) ** 3)
 
-    @property
-    def climb_rad(self) -> FloatArray:
-        """Angle above the horizontal; (S,)."""
-        return np.arctan2(self.first[:, 2], np.hypot(self.first[:, 0], self.first[:, 1]))
-
 
 def spline(control_nea_m: FloatArray) -> BSpline:
     """The clamped cubic B-spline over 0 <= u <= 1 with uniform inner knots."""
@@ -265,7 +260,8 @@ class Measures(NamedTuple):
 
 def measure(curve: Curve, terrain: PeakTerrain | ArrayTerrain, task: Task) -> Measures:
     """Everything about one sampled curve."""
-    points, climb, limits = curve.points_nea_m, curve.climb_rad, task.limits
+    points, limits = curve.points_nea_m, task.limits
+    climb_rad = np.arctan2(curve.first[:, 2], np.hypot(*curve.first[:, :2].T))
     low, high = points.min(axis=0), points.max(axis=0)
     least, most = np.transpose((limits.north_m, limits.east_m))
     clearance = terrain_distance_m(points, terrain, 2.0 * task.required_clearance_m)
@@ -274,8 +270,8 @@ def measure(curve: Curve, terrain: PeakTerrain | ArrayTerrain, task: Task) -> Me
         clearance_m=float(clearance.min()),
         keep_out_m=min(aside, default=math.inf),
         turn_radius_m=float(1.0 / max(np.abs(curve.curvature_1_m).max(), 1e-9)),
-        climb_rad=float(climb.max()),
-        dive_rad=float(-climb.min()),
+        climb_rad=float(climb_rad.max()),
+        dive_rad=float(-climb_rad.min()),
         lowest_amsl_m=float(low[2]),
         highest_amsl_m=float(high[2]),
         off_map_m=max(float(np.max([least - low[:2], high[:2] - most])), 0.0),

@@ -85,10 +85,10 @@ class Grid:
     def rate(self, *, over: bool, radar_free: bool) -> FloatArray:
         """Cost per metre; infinite: closed."""
         world = self.world
-        band = world.ceiling_amsl_m - world.floor_amsl_m
-        altitude = np.clip(self.need_m, world.floor_amsl_m, world.ceiling_amsl_m)
-        result = 1.0 + self.high * (altitude - world.floor_amsl_m) / band
-        result[self.need_m > (world.ceiling_amsl_m if over else world.floor_amsl_m + 15.0)] = np.inf
+        low_m, high_m = world.task.band_amsl_m
+        altitude = np.clip(self.need_m, low_m, high_m)
+        result = 1.0 + self.high * (altitude - low_m) / (high_m - low_m)
+        result[self.need_m > (high_m if over else low_m + 15.0)] = np.inf
         north, east = np.meshgrid(self.north_m, self.east_m, indexing="ij")
         for radar in world.task.radars:
             n, e, z = radar.centre_nea_m
@@ -182,8 +182,8 @@ class Descent:
         north, east, up, v_n, v_e, v_up, a_n, a_e = state
         flat2 = v_n**2 + v_e**2 + 1e-12
         flat, speed = np.sqrt(flat2), np.sqrt(flat2 + v_up**2)
-        band_m = world.ceiling_amsl_m - world.floor_amsl_m
-        rate = 1.0 + self.grid.high * (up - world.floor_amsl_m) / band_m
+        low_m, high_m = world.task.band_amsl_m
+        rate = 1.0 + self.grid.high * (up - low_m) / (high_m - low_m)
         at, ahead = np.array([north.real[0], east.real[0]]), _NEXT_M * np.eye(3)[:, :2, None]
         by_n, by_e, need_m = self.grid.need_at_m(*np.moveaxis(at + ahead, 1, 0))
         slope_n, slope_e = (by_n - need_m) / _NEXT_M, (by_e - need_m) / _NEXT_M
@@ -214,8 +214,8 @@ class Descent:
     def improve(self, control: FloatArray, rounds: int, iterations: int) -> FloatArray:
         """Control points that cost less and keep the bounds; both ends stay."""
         limits = self.world.task.limits
-        lower = np.array([limits.north_m[0], limits.east_m[0], self.world.floor_amsl_m]) + 1e-3
-        upper = np.array([limits.north_m[1], limits.east_m[1], self.world.ceiling_amsl_m]) - 1e-3
+        box = np.array([limits.north_m, limits.east_m, self.world.task.band_amsl_m])
+        lower, upper = box[:, 0] + 1e-3, box[:, 1] - 1e-3
         free = np.ones(control.shape, dtype=bool)
         free[0], free[-1, :2] = False, False
         box = np.stack([lower, upper], axis=-1)[np.nonzero(free)[1]] / _SCALE_M
@@ -297,7 +297,7 @@ class Solver:
         slope = 0.9 * math.tan(self.world.task.limits.climb_angle_rad)
         away = np.abs(along[None, :] - np.linspace(0.0, along[-1], points)[:, None])
         altitude = (self.grid.need_at_m(*fine.T)[None, :] - slope * away).max(axis=1)
-        altitude = np.clip(altitude, self.world.floor_amsl_m, self.world.ceiling_amsl_m)
+        altitude = np.clip(altitude, *self.world.task.band_amsl_m)
         altitude[0] = self.world.start_nea_m[2]
         return np.column_stack([at, altitude])
 

@@ -120,16 +120,17 @@ def test_the_rival_among_near_things_flies_the_cheapest_way_of_all() -> None:
 
 def test_the_way_round_one_radar_in_a_level_world_is_tangent_arc_tangent() -> None:
     base = drawn_world.bundled("environment-2")
+    floor_m, _ = base.task.band_amsl_m
     limits = replace(base.task.limits, north_m=(-5e3, 45e3), east_m=(-20e3, 20e3))
     radar = Radar(name="r", centre_nea_m=(20e3, 2_000.0, 0.0), range_m=8_000.0)
     world = replace(
         base,
         terrain=PeakTerrain(peaks=(), ground_amsl_m=0.0),
         task=replace(base.task, limits=limits, radars=(radar,)),
-        start_nea_m=(0.0, 0.0, base.floor_amsl_m),
+        start_nea_m=(0.0, 0.0, floor_m),
         targets_ne_m=((40e3, 0.0),),
     )
-    round_m, far_m = math.sqrt(8_000.0**2 - world.floor_amsl_m**2), math.hypot(20e3, 2_000.0)
+    round_m, far_m = math.sqrt(8_000.0**2 - floor_m**2), math.hypot(20e3, 2_000.0)
     angle = 2.0 * (math.acos(2_000.0 / far_m) - math.acos(round_m / far_m))
     wanted_m = 2.0 * math.sqrt(far_m**2 - round_m**2) + round_m * angle
     solver = optimum.Solver(world)

@@ -11,7 +11,7 @@ import pytest
 
 from companion.campaign import drawn_faults, drawn_world, families, in_process, judge
 from companion.campaign.drawn_faults import FAMILIES, FaultScript, ways
-from companion.campaign.in_process import Flight
+from companion.campaign.in_process import Flight, FlightFiles
 from companion.config import load_mission
 from companion.errors import InputError
 from companion.mission.state import Reason
@@ -25,8 +25,8 @@ with tempfile.TemporaryDirectory() as _folder:
     MISSION = load_mission(str(drawn_world.write(DRAWN, Path(_folder))[1]))
 HIGH_M = 1_500.0
 TARGET = DRAWN.targets_ne_m[-1]
-SAFETY_M, ERROR_M = 12.0, 3.0
-"""Of the world that is drawn: its safety distance, its position's."""
+SAFETY_M = 12.0
+"""The safety distance of the world that is drawn; the error of its position is 3 m."""
 
 
 # --- draws
@@ -52,7 +52,7 @@ def test_a_script_can_be_flown_and_is_the_same_again(family: str, vehicle: str) 
         entries = faults.entries(timeline)
         assert len(entries) == len(timeline.splitlines())
         if all(each.fault.name != COMPANION_OFF for each in entries):
-            Timeline.parse(timeline)
+            Timeline(timeline)
     assert len({timeline for _, timeline in found}) > 50
 
 
@@ -65,6 +65,7 @@ def flight(
     places: Places,
     *,
     told_off_m: float = 0.0,
+    believed: Places | None = None,
     mode: str = "GUIDED",
     by_others: range = range(0),
     up_m: float = HIGH_M,
@@ -73,26 +74,24 @@ def flight(
     """A second at each place, at a height where there is no ground in the way.
 
     by_others: the places over which a copter's pilot flies it.
+    believed: where its autopilot then believes to be; None: the truth does not tell.
     """
-    truth = []
+    truth = list[dict[str, Any]]()
     for k in range(10 * len(places)):
         north_m, east_m = places[k // 10]
         row = {"t_s": round(0.1 * (k + 1), 1), "north_m": north_m, "east_m": east_m}
         row |= {"altitude_amsl_m": up_m, "mode": "LOITER" if k // 10 in by_others else mode}
         row |= {"velocity_north_m_s": 0.0, "velocity_east_m_s": 0.0}
+        if believed is not None:
+            row["believed"] = row | dict(zip(("north_m", "east_m"), believed[k // 10], strict=True))
         truth.append(row | {"armed": True, "landed": False})
-    journal = [{"t_s": 0.0, "kind": "phase", "phase": "flying", "code": None, "reason": None}]
+    begun = {"t_s": 0.0, "kind": "phase", "phase": "flying", "code": None, "reason": None}
     ended = {"t_s": truth[-1]["t_s"], "kind": "end", "outcome": "arrived", "reason": "there"}
-    journal.append(ended | end)
     names = ("t_s", "t_s", "north_m", "east_m", "altitude_amsl_m")
     told = np.array([[row[name] for name in names] for row in truth])
     told[:, -1] += told_off_m
+    journal = [begun, ended | end]
     return Flight(mission=MISSION, journal=journal, truth=truth, plans_s=[], reported=told)
-
-
-def noting(flown: Flight, *entries: dict[str, Any]) -> Flight:
-    """The same with more in its journal."""
-    return replace(flown, journal=[*flown.journal[:1], *entries, *flown.journal[1:]])
 
 
 def violated(flown: Flight, timeline: str | None = "", world: Any = DRAWN) -> list[str]:
@@ -103,15 +102,10 @@ def violated(flown: Flight, timeline: str | None = "", world: Any = DRAWN) -> li
 
 
 def beside(gap_m: float) -> tuple[float, float]:
-    """A place so far from the edge of the first keep-out, towards where no other is."""
-    zone, *others = (each for each in DRAWN.task.zones if isinstance(each, CircleZone))
-    for bearing in np.linspace(0.0, 6.0, 25):
-        north_m = zone.north_m + (zone.radius_m + gap_m) * np.cos(bearing)
-        east_m = zone.east_m + (zone.radius_m + gap_m) * np.sin(bearing)
-        away_m = [np.hypot(north_m - z.north_m, east_m - z.east_m) - z.radius_m for z in others]
-        if min(away_m) > 20.0:
-            return float(north_m), float(east_m)
-    raise AssertionError
+    """A place so far from the northern edge of the first keep-out, where no other is."""
+    zone = DRAWN.task.zones[0]
+    assert isinstance(zone, CircleZone)
+    return zone.north_m + zone.radius_m + gap_m, zone.east_m
 
 
 def there(*seconds: tuple[int, tuple[float, float]]) -> Places:
@@ -132,7 +126,9 @@ FAILED = {"outcome": "failed"}
 SILENT = FAILED | {"reason": "the vehicle fell silent"}
 HELD = FAILED | {"mode": "BRAKE", "reason": "no way"}
 TAKEN = FAILED | {"mode": "LOITER", "reason": Reason.MODE_TAKEN.text}
-NEAR = there((3, beside(0.0)))
+NEAR, CLEAR = there((3, beside(0.0))), there((3, beside(12.2)))
+NEARER = [*CLEAR[:2], beside(11.5), TARGET]
+SOON, LATE = there((10, beside(0.0))), there((12, beside(0.0)))
 TWICE = there((3, beside(0.0)), (5, TARGET), (10, beside(0.0)))
 LEFT = [(16, INSIDE), (10, OUTSIDE)]
 BEFORE = there((3, INSIDE), (2, OUTSIDE), (2, INSIDE), (10, OUTSIDE))
@@ -146,10 +142,15 @@ COUNTY_ALONE = {"kind": "say", "world": with_task(zones=(COUNTY,))}
 JUDGED: dict[str, tuple[Places, str | None, dict[str, Any], int, str]] = {
     "as near as the safety distance": (there((3, beside(12.2))), "", {}, 0, ""),
     "nearer": (there((3, beside(11.5))), "", {}, 1, ""),
-    "inside": (there((3, beside(-3.0))), "", {}, 1, ""),
     # what it could not know of excuses it, and so does whoever else flew
     "told wrong by its error": (NEAR, "", {"told_off_m": 2.5}, 1, ""),
     "told wrong by more": (NEAR, "", {"told_off_m": 3.5}, 0, ""),
+    # untold, its autopilot's own error does where that believed to be clear; then comes a grace
+    "misled": (NEAR, "", {"believed": CLEAR}, 0, ""),
+    "misled, and near there too": (NEAR, "", {"believed": NEARER}, 1, ""),
+    "misled by its error": (there((3, beside(10.0))), "", {"believed": CLEAR}, 1, ""),
+    "right again, and gone": (SOON, "", {"believed": [*CLEAR[:1], *SOON[1:]]}, 0, ""),
+    "right again, and not gone": (LATE, "", {"believed": [*CLEAR[:1], *LATE[1:]]}, 1, ""),
     "told too low heights": (NEAR, TOO_LOW, {}, 0, ""),
     "flown by the autopilot": (TWICE, "", {"mode": "RTL"}, 0, ""),
     "flown by a pilot": (TWICE, "", {"by_others": range(99)}, 0, ""),
@@ -164,14 +165,12 @@ JUDGED: dict[str, tuple[Places, str | None, dict[str, Any], int, str]] = {
     "one that a plane does not leave": (there((80, INSIDE)), FENCE, PLANE, 1, ""),
     "within a keep-in": ([(-1_200.0, 37.0)] * 3, None, COUNTY_ALONE, 0, ""),
     "near its edge": ([(-1_200.0, 39.0)] * 3, None, COUNTY_ALONE, 1, ""),
-    "outside it": ([(-1_200.0, 60.0)] * 3, None, COUNTY_ALONE, 1, ""),
     # the time for that begins when it is given back
     "given back inside": (there((52, INSIDE)), FENCE, BACK, 0, ""),
     "given back, and not left": (there((70, INSIDE)), FENCE, BACK, 1, ""),
     # an ending is explained by a reason and a safe mode
     "arrived": (THERE, "", {}, 0, "arrived"),
     "without a reason": (THERE, "", FAILED | {"reason": ""}, 1, "unexplained: no reason"),
-    "left alone": (THERE, "", SILENT, 1, ALONE),
     "in reach again": (THERE, OFF, SILENT, 1, ALONE),
     "out of reach": (THERE, LONG, SILENT, 0, "held for good"),
     "taken by a pilot": (THERE, WIND, TAKEN, 0, "let go"),
@@ -187,8 +186,6 @@ JUDGED: dict[str, tuple[Places, str | None, dict[str, Any], int, str]] = {
 
 @pytest.mark.parametrize("case", JUDGED)
 def test_what_it_could_know_of_and_did_violates_and_so_does_an_unsafe_end(case: str) -> None:
-    limits, settings = DRAWN.task.limits, DRAWN.task.settings
-    assert (settings.safety_distance_m, limits.navigation_error_m) == (SAFETY_M, ERROR_M)
     places, timeline, more, violations, ending = JUDGED[case]
     world = more.get("world", DRAWN)
     changes = {name: value for name, value in more.items() if name != "world"}
@@ -203,8 +200,9 @@ def test_what_was_planned_before_an_excuse_is_checked_whole() -> None:
     """From then on a subpath may be in a wrong place, and is right in its shape only."""
     up_m = 0.5 * sum(DRAWN.task.band_amsl_m)
     across = np.linspace((*beside(-40.0), up_m), (*beside(-1.0), up_m), 5).tolist()
-    ready = [{"t_s": t_s, "kind": "plan ready", "control_nea_m": across} for t_s in (1.0, 3.0)]
-    flown = noting(flight([TARGET] * 4), *ready)
+    flown = flight([TARGET] * 4)
+    for t_s in (1.0, 3.0):
+        flown.journal.append({"t_s": t_s, "kind": "plan ready", "control_nea_m": across})
     assert violated(flown, TOO_LOW.replace("0 s", "2 s")) == ["leg 1: keep-out zone"]
     assert violated(flown, TOO_LOW) == []
     assert violated(flown) == ["leg 1: keep-out zone", "leg 2: keep-out zone"]
@@ -213,9 +211,13 @@ def test_what_was_planned_before_an_excuse_is_checked_whole() -> None:
 def test_who_climbs_out_is_not_too_near_to_the_ground_and_who_flies_is() -> None:
     ground_m = float(DRAWN.terrain.height_m(np.array(TARGET[0]), np.array(TARGET[1])))
     low = flight([TARGET] * 4, up_m=ground_m + 0.5 * SAFETY_M)
-    for begins_s, violations in ((1.0, 1), (9.0, 0)):
-        found = violated(noting(low, {"t_s": begins_s, "kind": "leg"}))
+    for begins_s, violations in ((9.0, 0), (1.0, 1)):
+        low.journal.append({"t_s": begins_s, "kind": "leg"})
+        found = violated(low)
         assert [each.startswith("terrain ") for each in found] == [True] * violations
+    for row in low.truth:
+        row["believed"] = row | {"altitude_amsl_m": HIGH_M}
+    assert violated(low) == []
 
 
 CRASH = {"t_s": 3.05, "into": "the ground", "speed_m_s": 9.13}
@@ -238,24 +240,34 @@ def test_a_crash_violates_unless_somebody_else_flew_or_it_was_landing(
     assert said in violated(flown, None)
 
 
+def test_a_reset_that_nobody_could_tell_it_of_is_the_simulators_to_tell(tmp_path: Path) -> None:
+    """Its link is off, and it holds 42 m beside where it believes to be."""
+    world, mission = drawn_world.write(DRAWN, tmp_path / "files")
+    timeline = "at 68 s: link_off\nat 70 s: estimator_reset 42 m north"
+    files = FlightFiles(world=world, mission=mission, faults=timeline, folder=tmp_path)
+    flown = in_process.fly_here(files, seed=1, limit_s=84.0)
+    last = flown.truth[-1]
+    assert last["believed"]["north_m"] - last["north_m"] == pytest.approx(42.0, abs=0.5)
+    here = CircleZone(name="here", north_m=last["north_m"], east_m=last["east_m"], radius_m=5.0)
+    assert violated(flown, timeline, with_task(zones=(here,))) == []
+    for row in flown.truth:
+        row.pop("believed", None)  # as in older files
+    assert len(violated(flown, timeline, with_task(zones=(here,)))) == 1
+
+
 def test_faults_are_judged_in_lidar_missions_too() -> None:
-    """Who says nothing of its end, or touches something that it could know of, violates."""
+    """Who touches something that it could know of violates."""
     forest, world = load_mission("forest"), drawn_world.bundled("forest")
     up_m = forest.task.limits.floor_amsl_m + 3.0
-    plain = replace(flight([forest.targets_ne_m[-1]] * 4, up_m=up_m, kind="say"), mission=forest)
-    for row in plain.truth:
-        row["near_m"] = 2.0
-    row = judge.judged(plain, world, "")
-    found = (row["violations"], row["ending"], row["clearance_least_m"])
-    assert found == (1, "unexplained: no end", 2.0)
-    touching = replace(plain, journal=[*plain.journal[:-1], plain.journal[-1] | {"kind": "end"}])
-    touching.truth[20]["near_m"] = 0.0
+    touching = replace(flight([forest.targets_ne_m[-1]] * 4, up_m=up_m), mission=forest)
+    for number, row in enumerate(touching.truth):
+        row["near_m"] = abs(2.0 - 0.1 * number)
     said = "touched something at 2.1 s"
-    assert said in violated(touching, "", world)
-    assert violated(touching, None, world) == [said]
+    assert violated(touching, "", world) == violated(touching, None, world) == [said]
     for row in touching.truth:
         row["mode"] = "LOITER"  # a pilot
-    assert said in judge.judged(touching, world, "")["excused"]
+    found = judge.judged(touching, world, "")
+    assert (said in found["excused"], found["clearance_least_m"]) == (True, 0.0)
 
 
 def test_without_a_simulator_that_can_say_what_may_go_wrong_there_is_none(

@@ -204,7 +204,6 @@ REFUSED: list[tuple[str, str, str, str]] = [
     (FLOWN, WORLD, "", "either a world or a family"),
     (FLOWN, WORLD, 'family = "hills"', "places[0].family"),
     (FLOWN, "battery 1 %", "battery much", "battery"),
-    (FLOWN, KEEP, 'over = "udp"', "over"),
     (FLOWN, FACTORS, "[factors]\nbudget = [1]", "budget"),
     (FLOWN, FACTORS, 'over = "planner"\n[factors]', "places[0].over"),
     (FLOWN, FACTORS, '[factors]\nknowledge = ["full"]', "of the planner alone"),

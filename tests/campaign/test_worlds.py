@@ -34,15 +34,16 @@ def test_a_world_follows_from_family_seed_and_index_alone(family: str) -> None:
 def test_every_world_has_a_way_by_an_independent_search(family: str) -> None:
     world = families.world(family, 5, 0)
     task, away_m = world.task, world.task.required_clearance_m
+    floor_m, _ = task.band_amsl_m
     step = task.settings.scan_range_m / 60.0
     axes = [np.arange(low, high, step) for low, high in (task.limits.north_m, task.limits.east_m)]
     north, east = np.meshgrid(*axes, indexing="ij")
     height = world.terrain.height_m(north, east)  # not what the proof of the way uses
-    free = height < world.floor_amsl_m - away_m
-    free &= distance_transform_edt(height < world.floor_amsl_m) * step > away_m
+    free = height < floor_m - away_m
+    free &= distance_transform_edt(height < floor_m) * step > away_m
     for radar in task.radars:
         n, e, z = radar.centre_nea_m
-        free &= np.hypot(np.hypot(north - n, east - e), world.floor_amsl_m - z) > radar.range_m
+        free &= np.hypot(np.hypot(north - n, east - e), floor_m - z) > radar.range_m
     places = np.stack([north.ravel(), east.ravel(), 0.0 * north.ravel()], axis=-1)
     for zone in task.zones:
         free &= truth.keep_out_distance_m(places, zone).reshape(free.shape) > away_m

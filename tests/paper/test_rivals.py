@@ -123,7 +123,7 @@ def test_a_rival_arrives_and_keeps_its_clearance(knowledge: Knowledge) -> None:
     assert math.dist(points[-1, :2], world.targets_ne_m[0]) < 1e-6
     need = world.task.required_clearance_m
     assert truth.terrain_distance_m(points, world.terrain, 2.0 * need).min() >= 0.99 * need
-    inside_m = points[:, 2].clip(world.floor_amsl_m, world.ceiling_amsl_m)
+    inside_m = points[:, 2].clip(*world.task.band_amsl_m)
     assert points[:, 2] == pytest.approx(inside_m, abs=1e-6)
 
 

@@ -62,7 +62,7 @@ ASKS: dict[str, tuple[str, dict[str, Any]]] = {
 
 def asked(text: str, at_s: float = 0.0) -> Any:
     """The conditions that a timeline asks for at a time, without any parameter."""
-    timeline = Timeline.parse(text)
+    timeline = Timeline(text)
     timeline.step(round(at_s * S))
     return conditions_of({}, timeline.lasting)
 
@@ -105,7 +105,7 @@ def test_of_overlapping_faults_that_set_the_same_the_one_that_began_last_counts(
     strides: tuple[int, ...],
 ) -> None:
     """And one that is added begins now."""
-    timeline, now_s = Timeline.parse(OVERLAPPING), 0
+    timeline, now_s = Timeline(OVERLAPPING), 0
     turbulence = [0, 3, 1, 1, 5, 5, 5, 2, 2, 2, 1, 1, 1]
     for stride in strides:
         now_s += stride
@@ -149,7 +149,7 @@ def test_without_a_companion_none_can_be_killed() -> None:
     """A campaign kills its own, and the vehicle flies by the other lines."""
     text = "at 1 s: gps_off\nat 1 s for 2 s: companion_off\nat 2 s: zebra"
     with pytest.raises(InputError, match=r"timeline:2 = .*only campaigns fly one"):
-        Timeline.parse(text.replace("zebra", "gps_jam"))
+        Timeline(text.replace("zebra", "gps_jam"))
     with pytest.raises(InputError, match="faults:3 = 'zebra'"):
         vehicle(bundled_worlds()["forest"], seed=1, faults=text)
 

@@ -192,5 +192,4 @@ class Contact:
 
     def _crash(self, way: Velocity, into: str, now_us: int) -> None:
         north_m, east_m, altitude_m = self.place_nea_m().tolist()
-        speed_m_s = math.hypot(*way)
-        self._on_crash(Crash(now_us * 1e-6, north_m, east_m, altitude_m, speed_m_s, into))
+        self._on_crash(Crash(now_us * 1e-6, north_m, east_m, altitude_m, math.hypot(*way), into))
