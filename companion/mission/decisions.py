@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import final
 
 from companion.mission import phases
-from companion.mission.events import Command, Position, StatusText
+from companion.mission.events import Command, StatusText
 from companion.mission.health import astray_m, may_differ_m
 from companion.mission.mission import Mission
 from companion.mission.phases import TAKEN, Reason, Trigger
@@ -20,7 +20,7 @@ from companion.planner.request import Refusal
 ASK_AGAIN_S = 1.0
 GONE_S = 30.0
 GONE_IN_AIR_S = 600.0
-STOPPED_M_S = 0.5
+_STOPPED_M_S = 0.5
 AT_M = 5.0
 LANDING_ABORTED = "landing broken off: MISSION_START to the companion lands it"
 _FENCE_READ_S = 3.0  # for a changed fence; a few items are read in less, also by a slow radio
@@ -183,6 +183,7 @@ def hold_for(state: State, reason: Reason) -> None:
     state.because(reason)
 
 
-def is_at_rest(state: State, event: Position) -> bool:
+def is_at_rest(state: State) -> bool:
     """Whether the vehicle is at rest, or loitering if it is a plane."""
-    return not state.vehicle.traits.hovers or math.hypot(*event.velocity_nea_m_s) < STOPPED_M_S
+    speed_m_s = math.hypot(*state.vehicle.velocity_nea_m_s)
+    return not state.vehicle.traits.hovers or speed_m_s < _STOPPED_M_S

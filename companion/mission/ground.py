@@ -299,7 +299,7 @@ def _has_climbed(state: State, event: Position, *, guided: bool) -> bool:
     if guided:  # of a low climb half: as it lifts off it is within AT_M of its end
         climb_m = math.inf if home is None else state.task.take_off_amsl_m - home[2]
         near = abs(off_m) < min(AT_M, max(0.5 * climb_m, _LEAST_M))
-        return landed is Landed.IN_AIR and near and is_at_rest(state, event)
+        return landed is Landed.IN_AIR and near and is_at_rest(state)
     if landed is not Landed.IN_AIR:
         return False
     if off_m > -AT_M:

@@ -22,7 +22,6 @@ from companion.mission.battery import gives_up_for_battery, warn_of_battery
 from companion.mission.decisions import (
     ASK_AGAIN_S,
     AT_M,
-    STOPPED_M_S,
     Context,
     Turn,
     abort_landing,
@@ -62,8 +61,8 @@ _OBEY_S = 60.0  # for the end action's mode, and for a descent that stands still
 _SINKING_M_S = 0.1
 _ANSWER_S = 60.0
 _ASKS_ABOUT = 2
-_UNHEARD = (Reason.POSITION_STALE, Reason.HEALTH_SILENT)
-"""What is wrong then is the link: the vehicle knows where it is."""
+_UNHEARD = {None, Reason.POSITION_STALE, Reason.HEALTH_SILENT}
+"""Nothing is wrong, or the link is: the vehicle knows where it is."""
 _TOLD_TO_STAY_S = 1.0  # a setpoint may be lost: an end in guided mode is told several times
 _STAYS_DOWN_S = 10.0  # ten times asked for
 _LANDS_WITHIN = 1.5  # loiter radii
@@ -88,9 +87,8 @@ def note_circle(state: State) -> None:
 
     Each that its autopilot holds it on lies a radius beside the last, and nobody has proven it.
     """
-    flight, hovers = state.flight, state.vehicle.traits.hovers
-    circles = not hovers and flight.sent is not None and flight.sent.stay
-    flight.circle_nea_m = flight.sent.position_nea_m if flight.sent and circles else None
+    sent = None if state.vehicle.traits.hovers else state.flight.sent
+    state.flight.circle_nea_m = sent.position_nea_m if sent and sent.stay else None
 
 
 def hold_by_itself(state: State) -> SetMode:
@@ -98,11 +96,9 @@ def hold_by_itself(state: State) -> SetMode:
 
     Else where it is: an autopilot that is wrong about its place is wrong about the circle's.
     """
-    vehicle, about = state.vehicle, state.flight.circle_nea_m
-    is_there = vehicle.mode is Mode.GUIDED and state.held_for in _UNHEARD
-    if not is_there or vehicle.distrust not in (None, *_UNHEARD):
-        about = None
-    return SetMode(mode=Mode.HOLD, at_nea_m=about)
+    vehicle = state.vehicle
+    stays = vehicle.mode is Mode.GUIDED and {state.held_for, vehicle.distrust} <= _UNHEARD
+    return SetMode(mode=Mode.HOLD, at_nea_m=state.flight.circle_nea_m if stays else None)
 
 
 def _circle_beside(state: State) -> events.Vector | None:
@@ -167,7 +163,7 @@ def _stay_down(state: State, turn: Turn) -> None:
 def _heard_again(state: State, event: Event, turn: Turn) -> None:
     """Prepare again after a silence, which may have concerned some messages only.
 
-    Given up after 30 s, in the air, but for lockstep, after 600 s.
+    Given up after ten minutes in the air; on the ground, or in lockstep, after 30 s.
     """
     if state.in_phase_s > longest_silence_s(state, turn.context):
         return turn.give_up(Reason.LINK_LOST)
@@ -299,10 +295,10 @@ def _end_of_hold(state: State, event: Position, turn: Turn) -> None:
 def _is_settled(state: State, event: Position) -> bool:
     """Whether it is at rest where it is told to be: it may swing through after a hard stop."""
     hover = state.flight.hover_nea_m
-    if hover is None or not state.vehicle.traits.hovers or not is_at_rest(state, event):
-        return is_at_rest(state, event)
+    if hover is None or not state.vehicle.traits.hovers:
+        return is_at_rest(state)
     off_m = math.dist(hover, event.position_nea_m)
-    return off_m <= _SETTLED * state.task.limits.tracking_error_m
+    return is_at_rest(state) and off_m <= _SETTLED * state.task.limits.tracking_error_m
 
 
 def _other_way(state: State, turn: Turn) -> None:
@@ -326,38 +322,40 @@ def _other_way(state: State, turn: Turn) -> None:
 
 def _hold_in_its_own_mode(state: State, held: phases.Holding, event: Event, turn: Turn) -> None:
     """The autopilot holds, until the vehicle is at rest and its position was valid for a while."""
-    vehicle, mode, hovers = state.vehicle, state.vehicle.mode, state.vehicle.traits.hovers
-    taking_over, ordered = held.why in TAKES_OVER, state.order
-    if state.in_phase_s > _HOLD_S or state.flight.troubles > _TROUBLES:
+    mode, flight, held_s = state.vehicle.mode, state.flight, state.in_phase_s
+    if held_s > _HOLD_S or flight.troubles > _TROUBLES:
         return turn.to(Trigger.GIVE_UP)
     if mode is not Mode.TAKE_OFF and _is_elsewhere(state):
         return _take_again(state, event, turn)
-    flies_on = hovers and mode is Mode.GUIDED  # to a target that is not known
-    hold, told = hold_by_itself(state), held.asked_at_s >= held.since_s
-    circles = vehicle.traits.holds_in_guided and hold.at_nea_m is not None and told
-    if mode is Mode.HOLD or circles or (taking_over and not flies_on):
-        held.obeyed = True
-    stands = (
-        not hovers
-        or math.hypot(*vehicle.velocity_nea_m_s) < STOPPED_M_S
-        or state.in_phase_s > _SETTLE_S
-        or state.flight.hover_nea_m is not None
-    )
-    doubted = vehicle.distrust is not None
-    if not held.obeyed or (mode is Mode.GUIDED and not circles and (doubted or not stands)):
+    hold = hold_by_itself(state)
+    stands = is_at_rest(state) or held_s > _SETTLE_S or flight.hover_nea_m is not None
+    held.obeyed = _obeys(state, held, hold, stands=stands)
+    if not held.obeyed:
         come_to_rest(state)
-        held.obeyed = False
-        turn.ask(hold if held.asks < _ASKS_ABOUT else SetMode(mode=Mode.HOLD))
-        return
-    if stands and mode is Mode.HOLD and ordered is Reason.LAND_ASKED:
-        return _land_here(state, turn)
-    unled = state.reason is Reason.BROKEN_OFF and state.flight.plan_id == 0
-    if unled and mode is Mode.HOLD and ordered is Reason.RETURN_ASKED:
+        return turn.ask(hold if held.asks < _ASKS_ABOUT else SetMode(mode=Mode.HOLD))
+    ordered = state.order if mode is Mode.HOLD else None
+    unled = state.reason is Reason.BROKEN_OFF and flight.plan_id == 0
+    if unled and ordered is Reason.RETURN_ASKED:
         return turn.give_up(Reason.RETURN_ASKED)  # there is no way back but its own
+    if stands and ordered is Reason.LAND_ASKED:
+        return _land_here(state, turn)
     if stands:
         _take_again(state, event, turn, given_back=False)
-    else:
-        come_to_rest(state)
+
+
+def _obeys(state: State, held: phases.Holding, hold: SetMode, *, stands: bool) -> bool:
+    """Whether its autopilot holds it: in a mode of its own, or on the circle that it was told.
+
+    Once held it may be in guided mode again, as long as it stands and its position is valid.
+    """
+    vehicle, taking_over = state.vehicle, held.why in TAKES_OVER
+    if vehicle.mode is not Mode.GUIDED:
+        return vehicle.mode is Mode.HOLD or taking_over  # a take-off ends in a hold
+    circles = vehicle.traits.holds_in_guided and hold.at_nea_m is not None
+    if circles and held.asked_at_s >= held.since_s:
+        return True
+    has_held = held.obeyed or (taking_over and not vehicle.traits.hovers)  # a copter flies on
+    return has_held and stands and vehicle.distrust is None
 
 
 def _land_here(state: State, turn: Turn) -> None:
@@ -463,7 +461,7 @@ def _stands_at_target(state: State, event: Position) -> bool:
         return off < _CIRCLES * limits.loiter_radius_m + limits.tracking_error_m
     if state.in_phase_s > _SETTLE_S:
         return off < max(AT_M, limits.tracking_error_m)
-    return off < _THERE_M and is_at_rest(state, event)
+    return off < _THERE_M and is_at_rest(state)
 
 
 # --- down

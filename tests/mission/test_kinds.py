@@ -210,20 +210,19 @@ def test_a_plane_that_loses_its_position_on_its_circle_comes_back_to_that_circle
     """
     craft = calm(traits, not_planned).run_until(lambda craft: craft.state.flight.failures)
     circled = craft.state.flight.hover_nea_m
-    heard = craft.says_where
-    for lost, again in [
-        (now(fix=False), now(fix=True)),
-        (now(says_where=list), now(says_where=heard)),
-    ]:
+    silent, heard = now(says_where=list), now(says_where=craft.says_where)
+    for lost, again in [(now(fix=False), now(fix=True)), (silent, heard)]:
         craft.run_for(5.0)
-        before = len(craft.sent(SetMode))
-        told(craft, lost, 4.0, again, 6.0)
+        before, unheard = len(craft.sent(SetMode)), lost is silent
+        told(craft, lost, now(obeys_modes=False), 2.0, now(obeys_modes=True), 2.0)
+        hold = craft.sent(SetMode)[before]
+        assert (hold.mode, hold.at_nea_m) == (Mode.HOLD, circled if unheard else None)
+        stays = unheard and traits.holds_in_guided
+        assert craft.mode is (Mode.GUIDED if stays else Mode.HOLD)  # asked until it obeys
+        told(craft, again, 6.0)
         sent = craft.sent(Setpoint)[-1]
         assert sent.stay
         assert sent.position_nea_m == pytest.approx(circled, abs=0.5)
-        unheard = craft.state.vehicle.last_distrust is Reason.POSITION_STALE
-        hold = craft.sent(SetMode)[before]
-        assert (hold.mode, hold.at_nea_m) == (Mode.HOLD, circled if unheard else None)
 
 
 def test_a_plane_that_lands_too_far_from_where_it_was_to_land_has_not_arrived() -> None:
