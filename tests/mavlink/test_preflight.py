@@ -178,18 +178,26 @@ NO_FENCE = {"vehicle.own_fence.fence": None}
 
 
 def unheard(name: str = PX4, **changes: Any) -> dict[str, Any]:
-    """The sensors of a mission."""
-    mission = replace(load_mission(name), **changes)
-    poses = Poses(mission.frame)
-    return {"sensors": (scanner_of(mission, poses), *others_of(mission, poses))}
+    """What makes the sensors of a mission, once they are needed: their maps may be large."""
+
+    def sensors() -> Any:
+        mission = replace(load_mission(name), **changes)
+        poses = Poses(mission.frame)
+        return scanner_of(mission, poses), *others_of(mission, poses)
+
+    return {"sensors": sensors}
 
 
 def sees(least_cm: int, most_cm: int) -> dict[str, Any]:
     """A lidar that has told these limits where R is 16 m."""
-    changes = unheard("forest")
-    limits = {"min_distance": least_cm, "reach_cm": most_cm}
-    tell(changes["sensors"][0], obstacle_distance(1.0, **limits), 1.0)
-    return changes
+
+    def sensors() -> Any:
+        [lidar] = unheard("forest")["sensors"]()
+        limits = {"min_distance": least_cm, "reach_cm": most_cm}
+        tell(lidar, obstacle_distance(1.0, **limits), 1.0)
+        return (lidar,)
+
+    return {"sensors": sensors}
 
 
 @pytest.mark.parametrize(
@@ -225,7 +233,7 @@ def test_what_is_seen(looked: Pair, changes: Any, check: str, status: str, words
     """changes: what of the session is another, however deep."""
     session = changed(looked.session, "last_scan", None)
     for path, value in changes.items():
-        session = changed(session, path, value)
+        session = changed(session, path, value() if callable(value) else value)
     told, said = verdict(session, check)
     assert told == status
     assert words in said
