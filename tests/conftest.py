@@ -73,7 +73,6 @@ def _rank(item: pytest.Item) -> int:
 
 def pytest_collection_finish() -> None:
     """What has been collected stays: no garbage collection looks through it again."""
-    gc.collect()
     gc.freeze()
     gc.enable()
 

@@ -151,10 +151,6 @@ def lend(cache: Path, packages: Path) -> None:
 @pytest.mark.closed_loop
 def test_an_ordinary_user_flies_replays_and_reports(user: OrdinaryUser) -> None:
     """With a read-only home: what is compiled is kept, and nothing that is said sounds bad."""
-    load = "from companion.runtime.compiler import load_kernel; load_kernel()"
-    user.runs("python", "-c", load)  # the simulator has little patience
-    compiled = {file.parent.name.partition("_")[0] for file in user.cache.rglob("*.nbc")}
-    assert compiled == {"path", "planner", "world"}
     port = free_port()
     (user.work / "mission.toml").write_text(one_target(), encoding="utf-8")
     simulator = user.starts(
@@ -166,6 +162,8 @@ def test_an_ordinary_user_flies_replays_and_reports(user: OrdinaryUser) -> None:
         assert simulator.wait(60.0) == 0, simulator.transcript
     finally:
         simulator.end()
+    compiled = {file.parent.name.partition("_")[0] for file in user.cache.rglob("*.nbc")}
+    assert compiled == {"path", "planner", "world"}
     for command in ("replay", "report"):
         said += user.runs("companion", command, "flight")
     assert not re.search("warn|error|traceback|cache", said, re.IGNORECASE), said

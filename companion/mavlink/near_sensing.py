@@ -358,7 +358,7 @@ class NearScanner:
 
     # --- what is heard
 
-    def seen(self, now_s: float, _known: KnownMap | None = None) -> NearSeen | None:
+    def seen(self, now_s: float, _known: KnownMap) -> NearSeen | None:
         """What is new: sweeps, or what the silence means; None: nothing."""
         sweeps, sight = self.sensing.sweeps(), self.sensing.sight(now_s)
         for sweep in sweeps:
@@ -398,7 +398,7 @@ class NearScanner:
         self._began_s = now_s
         return 1
 
-    def go_on(self, now_s: float, _here_nea_m: Vector | None = None) -> ScanDone | None:
+    def go_on(self, now_s: float, _here_nea_m: Vector | None) -> ScanDone | None:
         """The scan, once it is over: with the next sweep, or without any in time.
 
         A sensor that is well and silent has answered: what it saw before is all that there is.

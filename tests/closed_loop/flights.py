@@ -157,7 +157,8 @@ def mission_file(name: str, to: Path, **tables: Any) -> Path:
 
 
 def one_target() -> str:
-    """The mission of sitl-arducopter without its far targets."""
+    """The mission of sitl-arducopter without its far targets and its landing."""
     path = ENVIRONMENTS / "sitl-arducopter" / "mission.toml"
     head, _, _, last = path.read_text(encoding="utf-8").split("[[targets]]")
-    return f"{head}[[targets]]{last}".replace("[planner]", f"[planner]\nevaluations = {SOON}", 1)
+    text = f"{head}[[targets]]{last}".replace('"land"', '"hold"')
+    return text.replace("[planner]", f"[planner]\nevaluations = {SOON}", 1)

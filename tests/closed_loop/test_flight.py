@@ -173,15 +173,23 @@ def shown(tmp_path_factory: pytest.TempPathFactory, hills: Recorded) -> Shown:
     return Shown(code, Recorded(folder=folder / "run"), folder, drawn.decode(), told)
 
 
-def from_the_first_sync(log: Path) -> list[tuple[int, bytes]]:
-    """Microseconds and frames of a log from the first question of the lockstep on.
+def from_the_first_sync(log: Path) -> list[tuple[int, int, bytes]]:
+    """Microseconds, numbers and contents of a log's frames from lockstep's first question on.
 
-    Before it the simulator sends heartbeats by the wall clock, until it is heard.
+    Before it the simulator sends heartbeats by the wall clock, until it is heard.  By that clock it
+    also asks again; what is asked and answered again is left out, and in the companion's numbers.
     """
-    frames = recorded_frames(log)
-    sync = wire.MAVLINK_MSG_ID_TIMESYNC.to_bytes(3, "little")
-    first = next(number for number, (_, frame) in enumerate(frames) if frame[7:10] == sync)
-    return [(stamp_us - frames[first][0], frame) for stamp_us, frame in frames[first:]]
+    found, syncs, repeated = list[tuple[int, int, bytes]](), set[bytes](), 0
+    for stamp_us, frame in recorded_frames(log):
+        ours, told = frame[6] == wire.MAV_COMP_ID_PATHPLANNER, frame[5:-2]
+        if told in syncs:
+            repeated += ours
+            continue
+        if int.from_bytes(frame[7:10], "little") == wire.MAVLINK_MSG_ID_TIMESYNC:
+            syncs.add(told)
+        if syncs:
+            found.append((stamp_us, (frame[4] - ours * repeated) % 256, told))
+    return [(stamp_us - found[0][0], *frame) for stamp_us, *frame in found]
 
 
 def test_over_udp_and_while_it_is_shown_it_is_the_same_to_the_byte(

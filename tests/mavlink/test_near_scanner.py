@@ -58,13 +58,13 @@ class Standing:
         self.now_s += by_s
         self.poses.on_attitude(attitude(self.now_s))
         self.poses.on_position(self.now_s, self.here_nea_m)
-        return self.scanner.seen(self.now_s)
+        return self.scanner.seen(self.now_s, self.state.flight.known)
 
     def scan(self, *, takes: bool = True) -> None:
         """One sweep is enough; takes: the mission puts it on its map."""
         self.scanner.begin(self.here_nea_m, self.state, self.now_s)
         self.run()
-        done = self.scanner.go_on(self.now_s)
+        done = self.scanner.go_on(self.now_s, self.here_nea_m)
         assert done is not None
         assert done.answered == 1
         if takes:
@@ -108,9 +108,9 @@ def test_a_scan_waits_for_a_new_sweep_and_no_longer_than_it_may_and_changes_noth
     it.scanner.begin(it.here_nea_m, it.state, it.now_s)
     for wait_s in (0.0, 0.05):
         it.move_on(wait_s)
-        assert it.scanner.go_on(it.now_s) is None
+        assert it.scanner.go_on(it.now_s, it.here_nea_m) is None
     it.move_on(1.0)
-    done: Any = it.scanner.go_on(it.now_s)
+    done: Any = it.scanner.go_on(it.now_s, it.here_nea_m)
     assert (done.asked, done.answered) == (1, 0)
     np.testing.assert_array_equal(before.with_scan(done.scan).upper_m, before.upper_m)
 
@@ -122,10 +122,10 @@ def test_a_healthy_sensor_of_the_autopilot_that_sees_nothing_has_answered() -> N
     scanner = NearScanner(of, Poses(of.frame))
     for now_s, well, sight in ((100.0, 1, Sight.NOTHING_THERE), (105.0, 0, Sight.NEVER_HEARD)):
         tell(scanner, health(well=bool(well)), now_s)
-        seen: Any = scanner.seen(now_s)
+        seen: Any = scanner.seen(now_s, MISSION.known)
         assert seen.sight is sight
         scanner.begin((20.0, 20.0, 405.0), State.of(of, MISSION.known), now_s)
-        done: Any = scanner.go_on(now_s + 1.0)
+        done: Any = scanner.go_on(now_s + 1.0, None)
         assert done.answered == well
 
 

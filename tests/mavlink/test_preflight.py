@@ -178,19 +178,22 @@ NO_HOME = {"state.vehicle.home_nea_m": None}
 NO_FENCE = {"vehicle.own_fence.fence": None}
 
 
-def unheard(name: str = PX4, **changes: Any) -> dict[str, Any]:
-    """The sensors of a mission."""
-    mission = replace(load_mission(name), **changes)
-    poses = Poses(mission.frame)
-    return {"sensors": (scanner_of(mission, poses), *others_of(mission, poses))}
+def sensors(name: str = PX4, *limits_cm: int, **changes: Any) -> dict[str, Any]:
+    """What makes those of a mission once they are needed, as maps may be large: not heard yet.
 
+    limits_cm: between which the lidar has told that it sees, where R is 16 m.
+    """
 
-def sees(least_cm: int, most_cm: int) -> dict[str, Any]:
-    """A lidar that has told these limits where R is 16 m."""
-    changes = unheard("forest")
-    limits = {"min_distance": least_cm, "reach_cm": most_cm}
-    tell(changes["sensors"][0], obstacle_distance(1.0, **limits), 1.0)
-    return changes
+    def made() -> Any:
+        mission = replace(load_mission(name), **changes)
+        poses = Poses(mission.frame)
+        found = scanner_of(mission, poses), *others_of(mission, poses)
+        if limits_cm:
+            limits = dict(zip(("min_distance", "reach_cm"), limits_cm, strict=True))
+            tell(found[0], obstacle_distance(1.0, **limits), 1.0)
+        return found
+
+    return {"sensors": made}
 
 
 @pytest.mark.parametrize(
@@ -210,13 +213,13 @@ def sees(least_cm: int, most_cm: int) -> dict[str, Any]:
         ({"mission.endurance_s": 60.0}, "battery", "refused", ""),
         ({"mission.known": HIGHER}, "datum", "refused", ""),
         ({"mission.known": LEVEL}, "datum", "ok", ""),
-        (unheard("forest"), "sensor", "refused", "component 191 of system 1"),
-        (unheard("forest"), "sensor range", "note", "R = 16 m is believed"),
-        (sees(20, 1599), "sensor range", "ok", ""),  # a driver has cut it off
-        (sees(20, 1200), "sensor range", "refused", "Set planner.scan_range_m to 12 or less"),
-        (sees(70, 4000), "sensor range", "note", "Raise scanner.blind_m to 0.7"),
-        (unheard(scanner_component_id=77), "radar", "refused", "component 101 of system 2."),
-        (unheard(rangefinder_error_m=1.0), "rangefinder", "refused", "component 1: not heard"),
+        (sensors("forest"), "sensor", "refused", "component 191 of system 1"),
+        (sensors("forest"), "sensor range", "note", "R = 16 m is believed"),
+        (sensors("forest", 20, 1599), "sensor range", "ok", ""),  # a driver has cut it off
+        (sensors("forest", 20, 1200), "sensor range", "refused", "planner.scan_range_m to 12 or"),
+        (sensors("forest", 70, 4000), "sensor range", "note", "Raise scanner.blind_m to 0.7"),
+        (sensors(scanner_component_id=77), "radar", "refused", "component 101 of system 2."),
+        (sensors(rangefinder_error_m=1.0), "rangefinder", "refused", "component 1: not heard"),
         ({"state.duplicate_id": True}, "companion", "refused", f"1/195: {Reason.NOT_ALONE.text}"),
         (NO_FENCE, "fence", "refused", "it is being read. Wait for it."),
         (NO_FENCE | NO_HOME, "fence", "refused", "about home, which is not known. Wait for it."),
@@ -226,7 +229,7 @@ def test_what_is_seen(looked: Pair, changes: Any, check: str, status: str, words
     """changes: what of the session is another, however deep."""
     session = changed(looked.session, "last_scan", None)
     for path, value in changes.items():
-        session = changed(session, path, value)
+        session = changed(session, path, value() if callable(value) else value)
     told, said = verdict(session, check)
     assert told == status
     assert words in said

@@ -141,12 +141,6 @@ def test_position_tangent_and_curvature_go_on_where_a_subpath_begins(seed: int) 
 # --- every term, slowly
 
 
-def terms(x: FloatArray, scene: Scene) -> dict[str, float]:
-    """Those of one candidate, (D,), by the source of what is compiled."""
-    objective.cost(x, math.inf, scene)
-    return dict(zip(TERMS, scene.at.terms.tolist(), strict=True))
-
-
 def height_m(surface: Surface, points: FloatArray) -> FloatArray:
     """Of a surface below points: world/test_columns.  (..., 3) -> (...)."""
     return surface.altitude_m(points[..., 0], points[..., 1])
@@ -237,14 +231,15 @@ def to_go_m(control: FloatArray, scene: Scene) -> float:
 def test_each_term_is_what_a_scalar_implementation_makes_of_the_curve(seed: int) -> None:
     rng = np.random.default_rng(seed)
     scene, zones = random_scene(rng)
-    for each in cube(rng, scene, 20):
-        assert all(0.0 <= value < math.inf for value in terms(each, scene).values())
+    for each in cube(rng, scene, 20):  # compiled, as they take long
+        jit.compiled(kernels.costs)(each[None], scene)
+        assert all(0.0 <= value < math.inf for value in scene.at.terms)
     x = cube(rng, scene, 2)
     for each, control in zip(x, control_points(x, scene), strict=True):
-        table, slowly = terms(each, scene), expected(control, scene, zones)
+        slowly, cost = expected(control, scene, zones), objective.cost(each, math.inf, scene)
+        table = dict(zip(TERMS, scene.at.terms.tolist(), strict=True))
         assert table == pytest.approx(slowly, rel=1e-6, abs=1e-5)
         by_hand = sum(a * slowly[name] for name, a in zip(TERMS, scene.weights, strict=True))
-        cost = objective.cost(each, math.inf, scene)
         assert cost == pytest.approx(by_hand, rel=1e-6)
         for share in (0.0, 0.1, 0.4, 0.8, 0.97, 0.999999, 1.0, 1.000001, 1.5):  # of a bound
             told = objective.cost(each, share * cost, scene)

@@ -188,6 +188,15 @@ def test_guesses_are_given_up_where_the_best_costs_far_more_than_they_promise() 
     assert found.progress.believed_below_m < math.inf
 
 
+def test_a_gap_that_is_only_hidden_is_looked_into_where_its_bound_leaves_no_way() -> None:
+    """By who believes no guesses any more: a way through is promised, none over the wall."""
+    gap = (np.abs(NORTH - 20e3) < 300.0) & (np.abs(EAST - 30e3) < 2.0 * CLEAR_M)
+    known = all_seen(wall())
+    hidden, owes = replace(known, seen=known.seen & ~gap), Progress(believed_below_m=0.0)
+    found = planned(ask(TASK, hidden, (*HERE, 3_600.0), target_ne_m=TARGET, progress=owes))
+    assert found.progress.record_m < 2.0 * math.dist(HERE, TARGET)
+
+
 def test_who_gets_on_flies_on_whatever_it_owes() -> None:
     owed_m = 2.0 * math.tau * RANGE_M
     through = planned(at_the_mouth(2_332.0, owed_m=owed_m))

@@ -114,8 +114,10 @@ def test_the_reference_point_is_nowhere_faster_than_proven_and_stops_where_it_is
     assert waits == Reference(length_m=references[-2].length_m, speed_m_s=0.0)
     stops = step(Reference(speed_m_s=V), leg, tick_s, goes_on=goes_on, until_m=0.1)  # told too late
     assert stops.speed_m_s >= V - 2.0 * A * tick_s - 1e-9
-    for before, after in pairwise(references):
-        moved_m, left_m = after.length_m - before.length_m, length_m - before.length_m
+    left_m = length_m - np.array([each.length_m for each in references])
+    limits_m_s = fastest_m_s(leg.motion, left_m)
+    for (before, after), most_m_s in zip(pairwise(references), limits_m_s[:-1], strict=True):
+        moved_m = after.length_m - before.length_m
         gained_m_s = after.speed_m_s - before.speed_m_s
         assert max(after.speed_m_s, moved_m / tick_s) <= V + 1e-9
         assert max(after.speed_m_s, moved_m / tick_s) * steepness <= CLIMB_RATE + 1e-6
@@ -125,7 +127,7 @@ def test_the_reference_point_is_nowhere_faster_than_proven_and_stops_where_it_is
             room_m = max(end_m - before.length_m, 0.0)
             assert after.speed_m_s <= math.sqrt(2.0 * A * room_m) + 2.0 * A * tick_s
         elif not goes_on:
-            assert after.speed_m_s <= fastest_m_s(leg.motion, np.array([left_m]))[0] + 1e-6
+            assert after.speed_m_s <= most_m_s + 1e-6
 
 
 @pytest.mark.parametrize("slope", [0.25, -0.25])

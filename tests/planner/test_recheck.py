@@ -42,11 +42,11 @@ def test_a_leg_is_too_near_to_zones_where_dense_samples_are(
 ) -> None:
     """off: the distance as a share of what is required."""
     rng = np.random.default_rng(seed)
-    leg = a_leg(rng, 20_000.0, 0.05)
+    leg = a_leg(rng, 5_000.0, 0.05)
     at_ne_m = leg.subpath.pose(rng.uniform(0.0, leg.subpath.length_m)).position_nea_m[:2]
     zones = drawn_zones(rng, int(rng.integers(1, 5)), at_ne_m, 1_500.0, 800.0, 0.1)
     from_m = share * leg.subpath.length_m
-    points = rest_ne_m(leg, from_m, 4_001)  # about 5 m apart
+    points = rest_ne_m(leg, from_m, 1_001)  # about 5 m apart
     gap_m = float(zones_distance_m(zones, points).min())
     required_m = max(gap_m / off, 20.0)
     nears = leg.nears(zones, from_m, required_m)

@@ -97,14 +97,16 @@ def wholly_clear(taken: BoolArray, clearance_m: float) -> BoolArray:
 
 def steps_from(free: BoolArray, begin: tuple[int, int]) -> FloatArray:
     """Steps north, south, east or west to each free cell; infinite where none lead."""
-    steps, reached = np.full(free.shape, math.inf), np.zeros_like(free)
-    steps[begin], reached[begin] = 0.0, True
-    for step in count(1):
-        wider = reached | (free & scipy.ndimage.binary_dilation(reached))
-        if (wider == reached).all():
+    walled = np.pad(free, 1)  # with what is not free: each cell has four beside it
+    steps, width = np.full(walled.size, math.inf), walled.shape[1]
+    front = np.array([(begin[0] + 1) * width + begin[1] + 1])
+    for step in count():
+        steps[front] = step
+        beside = np.unique(front[:, None] + [-width, -1, 1, width])
+        front = beside[walled.flat[beside] & np.isinf(steps[beside])]
+        if not len(front):
             break
-        steps[wider & ~reached], reached = step, wider
-    return steps
+    return steps.reshape(walled.shape)[1:-1, 1:-1]
 
 
 def map_of(upper_m: FloatArray, seen: BoolArray, cell_m: float = CELL_M) -> KnownMap:

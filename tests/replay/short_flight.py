@@ -57,6 +57,7 @@ def fly_short(
             on_progress=lambda _: None,
             stop_asked=stops,
             planner=PlannerHere(straight_plan),
+            clock=link.clock,
         )
 
 
