@@ -81,27 +81,17 @@ class ElevationTable(Table):
                     for rule, remedy in _oddities(source, self.vertical_datum):
                         raise _refusal(path, rule, remedy)
                     whole = _grid(source, frame)
-                    if whole.cell_m > _COARSEST_M:
-                        rule = f"its cells of {whole.cell_m:.0f} m are coarser than "
-                        rule += f"{_COARSEST_M:.0f} m"
-                        raise _refusal(path, rule, "Name a finer file.")
                     border = np.meshgrid(*(np.linspace(*side, _BORDER_POINTS) for side in area_m))
-                    places = whole.nodes(*border)
-                    if not np.isfinite(places).all():
-                        rule = "its map projection does not reach [area]"
-                        raise _refusal(path, rule, "Name the file of this place.")
+                    places = np.array(whole.nodes(*border))
+                    for rule, remedy in _unfit(whole.cell_m, places):
+                        raise _refusal(path, rule, remedy)
                     rows, columns = (
                         range(math.floor(axis.min() - 0.01), math.ceil(axis.max() + 0.01) + 1)
                         for axis in places
                     )
-                    if len(rows) * len(columns) > _MAX_CELLS:
-                        rule = f"[area] takes more than {_MAX_CELLS:.1e} of its cells"
-                        raise _refusal(path, rule, "Make [area] smaller.")
                     height, width = source.shape
-                    window = (
-                        (height - rows.stop, height - rows.start),
-                        (columns.start, columns.stop),
-                    )
+                    down = height - rows.stop, height - rows.start
+                    window = down, (columns.start, columns.stop)
                     heights = source.read(1, window=window, boundless=True, masked=True)[::-1]
         except rasterio.errors.RasterioError as error:
             rule = f"it cannot be read ({' '.join(str(error).split())})"
@@ -187,6 +177,17 @@ def _oddities(source: Any, vertical_datum: str) -> Iterator[tuple[str, str]]:
         (unit not in _METRES, f"its heights are in {unit}", "Convert them to metres."),
     )  # fmt: skip
     yield from ((rule, remedy) for is_broken, rule, remedy in rules if is_broken)
+
+
+def _unfit(cell_m: float, places: FloatArray) -> Iterator[tuple[str, str]]:
+    """Why it is no file for an area.  places: (2, ...) its rows and columns.  As `_oddities`."""
+    if cell_m > _COARSEST_M:
+        rule = f"its cells of {cell_m:.0f} m are coarser than {_COARSEST_M:.0f} m"
+        yield rule, "Name a finer file."
+    if not np.isfinite(places).all():
+        yield "its map projection does not reach [area]", "Name the file of this place."
+    if np.prod(np.ptp(places, axis=(1, 2)) + 2.0) > _MAX_CELLS:
+        yield f"[area] takes more than {_MAX_CELLS:.1e} of its cells", "Make [area] smaller."
 
 
 def _coordinates(source: Any) -> tuple[pyproj.CRS, str | None]:
