@@ -419,9 +419,10 @@ def note_flown(state: State, path: OnPath, until_m: float) -> None:
 def _led(state: State) -> tuple[Vector, Vector] | None:
     """The current setpoint of the vehicle and its velocity.  -> metres, m/s.
 
-    Our own recent setpoint; else the autopilot's reported target; else the position.  A report is
-    some tenths of a second old: the target has moved since, unless it is stationary, as
-    ArduPilot's is after a setpoint time-out.
+    Our own recent setpoint; else the autopilot's reported target, if it moves that on by itself;
+    else the position: a PX4 that lacks setpoints slows down beyond the last.  A report is some
+    tenths of a second old: the target has moved since, unless it is stationary, as ArduPilot's is
+    after a setpoint time-out.
     """
     vehicle, flight = state.vehicle, state.flight
     position, velocity, echo = vehicle.position_nea_m, vehicle.velocity_nea_m_s, vehicle.echo
@@ -433,11 +434,12 @@ def _led(state: State) -> tuple[Vector, Vector] | None:
         return flight.sent.position_nea_m, velocity
     near_m = 2.0 * state.task.limits.tracking_error_m + state.task.limits.speed_m_s * _FRESH_S
     age_s = math.inf if echo is None else state.now_s - echo.time_s
-    if echo is None or age_s > _FRESH_S or math.dist(echo.position_nea_m, position) >= near_m:
+    if echo is None or (moves := echo.velocity_nea_m_s) is None or age_s > _FRESH_S:
         return position, velocity
-    velocity = echo.velocity_nea_m_s or velocity
-    north, east, up = (at + age_s * v for at, v in zip(echo.position_nea_m, velocity, strict=True))
-    return (north, east, up), velocity
+    if math.dist(echo.position_nea_m, position) >= near_m:
+        return position, velocity
+    north, east, up = (at + age_s * v for at, v in zip(echo.position_nea_m, moves, strict=True))
+    return (north, east, up), moves
 
 
 def _circled(state: State) -> Vector | None:

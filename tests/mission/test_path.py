@@ -302,7 +302,7 @@ def test_who_joins_a_path_near_its_end_comes_to_rest_without_a_jump(
 def test_who_is_found_on_either_of_two_legs_is_led_on_from_where_its_autopilot_leads_it(
     share: float, on_next: bool, pace: float, says: Any
 ) -> None:
-    """It says how long ago that was where, and with which velocity; or that is where it is.
+    """It says how long ago that was where, and how fast it moves it on; else that is where it is.
 
     The next leg turns off to the right from p_prog of the first, which has been flown then.
     """
@@ -316,11 +316,14 @@ def test_who_is_found_on_either_of_two_legs_is_led_on_from_where_its_autopilot_l
     there = here = at.position_nea_m + np.multiply(UP, 0.8 * ERROR_M)
     flies = leads = pace * SPEED_M_S * at.tangent_nea
     if says is not None:
-        (age_s, of_that), here = says, there - 30.0 * at.tangent_nea
-        leads = flies if of_that is None else of_that * flies
-        was, told = tuple((there - age_s * leads).tolist()), tuple(leads.tolist())
-        told = None if of_that is None else told
-        echo = events.Echo(time_s=state.now_s - age_s, position_nea_m=was, velocity_nea_m_s=told)
+        (age_s, of_that), told = says, None
+        was = behind = there - 30.0 * at.tangent_nea
+        if of_that is not None:
+            here, leads = behind, of_that * flies
+            was, told = there - age_s * leads, tuple(leads.tolist())
+        echo = events.Echo(
+            time_s=state.now_s - age_s, position_nea_m=tuple(was.tolist()), velocity_nea_m_s=told
+        )
     found = told_nothing(state, tuple(here.tolist()), tuple(flies.tolist()), echo)
     path = joined(found, path)
     assert path is not None
