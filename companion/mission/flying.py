@@ -312,10 +312,9 @@ def _hover(state: State, stage: phases.Flying, event: Position, turn: Turn) -> N
     """Hold while waiting for a leg: here, or straight above at the take-off height."""
     flight, settings = state.flight, state.task.settings
     hover = flight.hover_nea_m or _waiting_place(state, event, turn.context)
-    task = task_ahead(state, turn.context)
-    if task is not state.task:  # no lower than the next leg begins
-        hover = hover[0], hover[1], max(hover[2], task.band_amsl_m[0])
-    flight.hover_nea_m = hover
+    # no lower than the next leg begins: it may have been paused on its way up
+    lowest_m, _ = task_ahead(state, turn.context).band_amsl_m
+    flight.hover_nea_m = hover = hover[0], hover[1], max(hover[2], lowest_m)
     target = state.targets_ne_m[flight.target]
     if math.dist(hover[:2], target) < AT_M and not flight.returning:
         return turn.to(Trigger.TARGET_REACHED)
