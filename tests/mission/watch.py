@@ -294,8 +294,8 @@ class Watch:
         if after.path is not None or self.last is None or self.context.shadow:
             return
         apart_m = math.dist(self.position.position_nea_m[:2], self.last.position_nea_m[:2])
-        near_m = self.limits.tracking_error_m
-        near_m += 0.0 if self.traits.hovers else self.limits.loiter_radius_m
+        on_circle_m = self.limits.loiter_radius_m + self.limits.tracking_error_m
+        near_m = 5.0 if self.traits.hovers else on_circle_m
         assert apart_m <= near_m + 1e-5, f"looks for a leg from a place {apart_m:.0f} m away"
 
     def _up(self, before: State, command: events.Arm | events.TakeOff) -> None:
