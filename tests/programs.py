@@ -58,9 +58,7 @@ class Program:
         self._reader.start()
 
     def _follow(self) -> None:
-        output = self.process.stdout
-        assert output is not None
-        while chunk := os.read(output.fileno(), 65536):
+        while chunk := os.read(self.process.stdout.fileno(), 65536):
             with self._news:
                 self.transcript += chunk.decode(errors="replace")
                 self._news.notify_all()
@@ -70,7 +68,6 @@ class Program:
 
     def type(self, line: str) -> None:
         """Enter a line."""
-        assert self.process.stdin is not None
         with self._news:
             self.transcript += f"{line}\n"
             self._read = len(self.transcript)  # what it answers comes after this
@@ -124,7 +121,6 @@ class Program:
 
     def hang_up(self) -> None:
         """Close its input, which ends most programs."""
-        assert self.process.stdin is not None
         with contextlib.suppress(BrokenPipeError):
             self.process.stdin.close()
 
@@ -145,5 +141,4 @@ class Program:
         """End it and what it has started, whether it likes to or not."""
         self.kill()
         self.hang_up()
-        assert self.process.stdout is not None
         self.process.stdout.close()

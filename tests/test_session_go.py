@@ -43,8 +43,7 @@ def test_mission_start_is_the_go_and_comes_too_early_before_it_is_ready() -> Non
     assert said(it)[-1].startswith("start refused: it is not ready: ")
     it.fly_to(Phase.READY).run_for(60.0)
     assert not it.vehicle.armed
-    texts = [message.text for message in it.sent("STATUSTEXT")]
-    assert sum("waits for go" in text for text in texts) == 1
+    assert sum("waits for go" in text for text in said(it)) == 1
     assert mission_start(it) == wire.MAV_RESULT_ACCEPTED
     it.run_until(lambda it: it.vehicle.armed, 30.0)
 

@@ -64,7 +64,7 @@ def test_what_is_known_is_tried_first_and_the_best_of_the_budget_is_told_whateve
     rng = np.random.default_rng(seed)
     known = rng.uniform(0.0, 1.0, 3) + rng.normal(0.0, spread, (count, 3))
     options = {"dimensions": 3, "evaluations": budget, "seeds": known if count else None}
-    ranked, asked = search(name, objective, seed=seed, **options)  # type: ignore[arg-type]
+    ranked, asked = search(name, objective, seed=seed, **options)
     assert len(asked) == ranked.evaluations == budget
     assert 0.0 <= asked.min() <= asked.max() <= 1.0
     first = min(budget, count, 20)  # as many as the smallest population has
@@ -75,7 +75,7 @@ def test_what_is_known_is_tried_first_and_the_best_of_the_budget_is_told_whateve
     found = np.nan_to_num(objective(ranked.x[told]), nan=np.inf, posinf=np.inf)
     assert found == pytest.approx(ranked.costs[told], rel=1e-12)
     assert ranked.costs[told].tolist() == sorted(ranked.costs[told])
-    again, asked_again = search(name, objective, seed=seed, **options)  # type: ignore[arg-type]
+    again, asked_again = search(name, objective, seed=seed, **options)
     assert (asked.tobytes(), ranked.x.tobytes()) == (asked_again.tobytes(), again.x.tobytes())
 
 
@@ -94,7 +94,7 @@ def ellipsoid(x: FloatArray) -> FloatArray:
 @every_optimiser
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(
-    ("objective", "best", "evaluations", "near"),
+    ("objective", "best", "budget", "near"),
     [
         (about(0.3), (0.3,), 2_400, 1e-3),
         (about(0.3), (0.3,) * 6, 6_000, 0.01),
@@ -105,11 +105,9 @@ def ellipsoid(x: FloatArray) -> FloatArray:
     ],
 )
 def test_the_lowest_place_is_found(
-    name: str, seed: int, objective: Objective, best: tuple[float, ...], evaluations: int,
-    near: float,
-) -> None:  # fmt: skip
-    options = {"dimensions": len(best), "evaluations": evaluations, "seed": seed}
-    ranked, _ = search(name, objective, **options)  # type: ignore[arg-type]
+    name: str, seed: int, objective: Objective, best: tuple[float, ...], budget: int, near: float
+) -> None:
+    ranked, _ = search(name, objective, seed=seed, dimensions=len(best), evaluations=budget)
     assert ranked.x[0] == pytest.approx(best, abs=near)
 
 

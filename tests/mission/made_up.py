@@ -20,8 +20,9 @@ from companion.mavlink.autopilots import ALL, ARDUCOPTER
 from companion.mission import changes, checkpoint, events, machine
 from companion.mission.changes import OrderResult
 from companion.mission.decisions import Context
-from companion.mission.events import Command, Event, Landed, Mode, ScanDone, Vector
+from companion.mission.events import Command, Event, Landed, Mode, SetMode, Setpoint, Vector
 from companion.mission.mission import EndAction, Fallback, Mission
+from companion.mission.phases import OVER
 from companion.mission.state import Phase, Reason, State
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
 from companion.path.subpath import Subpath
@@ -81,15 +82,7 @@ PLANES = of_each(lambda traits: not traits.hovers)
 
 # --- what was said
 
-MOVING = (
-    events.Arm,
-    events.Disarm,
-    events.TakeOff,
-    events.SetMode,
-    events.Setpoint,
-    events.SetSpeed,
-)
-OVER = (Phase.DONE, Phase.FAULTED)
+MOVING = (events.Arm, events.Disarm, events.TakeOff, SetMode, Setpoint, events.SetSpeed)
 
 
 def moving(commands: Sequence[Command]) -> list[Command]:
@@ -104,7 +97,7 @@ def texts(commands: Sequence[Command]) -> list[str]:
 # --- events
 
 
-def scan_done(time_s: float, *, answered: int = 1, asked: int = 1) -> ScanDone:
+def scan_done(time_s: float, *, answered: int = 1, asked: int = 1) -> events.ScanDone:
     scan = Scan(
         row=0,
         column=0,
@@ -114,7 +107,7 @@ def scan_done(time_s: float, *, answered: int = 1, asked: int = 1) -> ScanDone:
         drift_m=0.0,
         registration_m=0.0,
     )
-    return ScanDone(time_s=time_s, scan=scan, asked=asked, answered=answered)
+    return events.ScanDone(time_s=time_s, scan=scan, asked=asked, answered=answered)
 
 
 def position(
@@ -139,10 +132,10 @@ def backtrack(request: PlanRequest, *subpaths: Subpath, reaches_start: bool = Tr
 
 
 def home_or_on(request: PlanRequest) -> PlanOutcome:
-    """Every way, and straight to the origin of the map for the way back."""
-    here = request.scan_nea_m
-    on = request.flown is None
-    return planned(request) if on else backtrack(request, straight(here, (0.0, 0.0, here[2])))
+    """Every way, and straight to where the flown path begins for the way back."""
+    if request.flown is None:
+        return planned(request)
+    return backtrack(request, straight(request.scan_nea_m, request.flown[0].control_nea_m[0]))
 
 
 def only_the_first(request: PlanRequest) -> PlanOutcome:
@@ -240,9 +233,8 @@ class Craft:
         return [command for command in self.commands if isinstance(command, kind)]
 
     def end(self) -> events.End:
-        ends = self.sent(events.End)
-        assert len(ends) == 1, ends
-        return ends[0]
+        [end] = self.sent(events.End)
+        return end
 
     # --- how it goes on
 
@@ -295,12 +287,15 @@ class Craft:
         other.steps, other.later = [*self.steps], [*self.later]
         return other
 
-    def restart(self) -> Self:
-        """The companion dies and is started again from its checkpoint."""
-        return self.resumes(json.loads(json.dumps(checkpoint.values_of(self.state))))
+    def restart(self, *, torn: bool = False) -> Self:
+        """The companion dies and is started again from its checkpoint.
 
-    def resumes(self, values: checkpoint.Values) -> Self:
-        """Another companion goes on from that."""
+        torn: of which nothing can be read.
+        """
+        values = json.loads(json.dumps(checkpoint.values_of(self.state)))
+        if torn:
+            told = {"time_s": self.now_s, "plan_id": self.state.flight.plan_id}
+            values = checkpoint.without_checkpoint("torn", system_id=1, **told)
         kept = values, self.state.flight.known
         state = checkpoint.initial_state(self.context.mission, kept)
         self.state, self.later = replace(state, now_s=self.now_s, since_s=self.now_s), []
@@ -320,11 +315,11 @@ class Craft:
             case events.RequestStreams():
                 for item in events.Item:
                     self.will_say(events.Prepared(time_s=self.now_s, item=item))
-            case events.SetMode(mode=Mode.HOLD, at_nea_m=(_, _, _) as there) if (
+            case SetMode(mode=Mode.HOLD, at_nea_m=(_, _, _) as there) if (
                 self.traits.holds_in_guided and self.mode is Mode.GUIDED
             ):
                 self.goal = there
-            case events.SetMode(mode=mode) if self.obeys_modes and self._may_be(mode):
+            case SetMode(mode=mode) if self.obeys_modes and self._may_be(mode):
                 self.mode, self.goal, self.climb_to_m = mode, None, None
                 if self.landed is Landed.TAKING_OFF:
                     on_ground = self.here[2] <= HOME_AMSL_M
@@ -346,7 +341,7 @@ class Craft:
             case events.Plan(request=request, due_s=due_s):
                 if (outcome := self.plan(request)) is not None:
                     self.will_say(events.PlanReady(time_s=due_s, outcome=outcome), due_s)
-            case events.Setpoint(position_nea_m=there):
+            case Setpoint(position_nea_m=there):
                 self.streamed_at_s = self.now_s
                 self.goal = there if self.mode is Mode.GUIDED else self.goal
             case _:
@@ -438,26 +433,18 @@ class Craft:
 
 
 _STEP = machine.step
-_FLIGHTS = 16
 
 
 def once(fly: Callable[..., Craft]) -> Callable[..., Craft]:
     """What begins with the same flight flies it once, without a nudge; each gets its own."""
-    flown: dict[tuple[Any, ...], tuple[Craft, Any]] = {}
 
-    @functools.wraps(fly)
-    def again(*arguments: Any, **keywords: Any) -> Craft:
-        key = (*map(id, arguments), *((name, id(value)) for name, value in keywords.items()))
-        if key not in flown:
-            with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(machine, "step", _STEP)
-                flown[key] = fly(*arguments, **keywords), (arguments, keywords)
-        craft, _ = flown[key]
-        if len(flown) > _FLIGHTS:
-            del flown[next(iter(flown))]
-        return craft.copy()
+    @functools.lru_cache(maxsize=16)
+    def flown(*arguments: Any, **keywords: Any) -> Craft:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(machine, "step", _STEP)
+            return fly(*arguments, **keywords)
 
-    return again
+    return lambda *arguments, **keywords: flown(*arguments, **keywords).copy()
 
 
 # --- what happens to it, a step of a story each
@@ -517,11 +504,10 @@ def told(craft: Craft, *script: Step) -> Craft:
 def says(words: str, times: int | None = None) -> Callable[[Craft], bool]:
     """Whether it has said so, so often, or at all."""
 
-    def check(craft: Craft) -> bool:
-        said = sum(words in text for text in texts(craft.commands))
-        return said > 0 if times is None else said == times
+    def said(craft: Craft) -> int:
+        return sum(words in text for text in texts(craft.commands))
 
-    return check
+    return lambda craft: said(craft) > 0 if times is None else said(craft) == times
 
 
 # --- how a test begins

@@ -3,19 +3,7 @@
 from collections.abc import Callable
 
 import pytest
-from made_up import (
-    EACH,
-    HOME_AMSL_M,
-    OVER,
-    SITUATIONS,
-    TICK_S,
-    Craft,
-    calm,
-    led,
-    moving,
-    tell,
-    told,
-)
+from made_up import EACH, HOME_AMSL_M, SITUATIONS, TICK_S, Craft, calm, led, moving, tell, told
 
 from companion.mission import events
 from companion.mission.changes import OrderResult
@@ -27,38 +15,26 @@ from companion.mission.vehicle_traits import VehicleTraits
 
 
 @EACH
-@pytest.mark.parametrize("mode", Mode)
+@pytest.mark.parametrize("mode", [*Mode, None])
 def test_the_companion_that_comes_second_ends_without_a_command_once_it_is_certain(
-    traits: VehicleTraits, mode: Mode
+    traits: VehicleTraits, mode: Mode | None
 ) -> None:
-    """As from the wire: the third time that the first is heard."""
-    craft = calm(traits).aloft(mode)
+    """As from the wire: the third time that the first is heard.
+
+    mode: None: it was started again on the path of the first, which it hears only once it leads.
+    """
+    craft = calm(traits).aloft(mode) if mode else told(led(traits), 5.0, Craft.restart, 2.5)
+    assert craft.state.has_had_control is (mode is None)
     for certain in (False, False, True):
+        before = len(moving(craft.commands)) if mode is None else 0
         craft.hear(events.DuplicateId(time_s=craft.now_s, certain=certain, news=certain))
         craft.run_for(0.8)
-    assert not moving(craft.commands)
-    assert craft.end().reason == Reason.NOT_ALONE.text
-    assert not is_under_control(craft.state)
-
-
-@EACH
-def test_one_that_took_over_too_soon_after_a_restart_yields_to_the_first_as_well(
-    traits: VehicleTraits,
-) -> None:
-    """With the path of the companion before it, which it hears only then."""
-    craft = told(led(traits), 5.0, Craft.restart, 2.5)
-    assert craft.state.has_had_control
-    for certain in (False, True):
-        count = len(moving(craft.commands))
-        craft.hear(events.DuplicateId(time_s=craft.now_s, certain=certain, news=certain))
-        craft.run_for(0.7)
-    assert len(moving(craft.commands)) == count
+    assert len(moving(craft.commands)) == before
     assert craft.end().reason == Reason.NOT_ALONE.text
     assert not is_under_control(craft.state)
 
 
 # --- whoever goes leaves the vehicle safe
-
 
 GOES: dict[str, Callable[[Craft], list[events.Command]]] = {
     "Ctrl-C": lambda craft: craft.take(events.StopAsked(time_s=craft.now_s)),
@@ -87,14 +63,12 @@ def is_safe_alone(craft: Craft, told: list[events.Command]) -> bool:
 
 @pytest.mark.parametrize("goes", GOES)
 @EACH
-def test_whenever_it_goes_the_vehicle_is_left_holding_or_disarmed_on_the_ground(
-    traits: VehicleTraits, goes: str
-) -> None:
-    """All half second, going up at each tick; a landing goes on by itself."""
+def test_whenever_it_goes_the_vehicle_is_left_safe(traits: VehicleTraits, goes: str) -> None:
+    """Each half second, and going up at each tick; a landing goes on by itself."""
     craft = calm(traits, end_action=EndAction.LAND).fly_to(Phase.ARMING)
-    while craft.phase not in OVER:
+    while not craft.over:
         craft.tick()
-        if craft.phase in OVER or (craft.state.flight.plan_id and craft.now_s % 0.5 > TICK_S):
+        if craft.over or (craft.state.flight.plan_id and craft.now_s % 0.5 > TICK_S):
             continue
         at, left = f"{craft.phase} at {craft.now_s}", craft.copy()
         height_m, mode, path = left.here[2], left.mode, left.state.path
@@ -136,21 +110,19 @@ def test_an_order_in_the_take_off_is_obeyed_at_once(traits: VehicleTraits, kind:
 
 # --- nothing waits for ever
 
-ENDLESS = ("waiting", "ready", "taken")
-"""As long as the link is there: they wait for somebody."""
-
 
 @pytest.mark.parametrize("link", [True, False], ids=["only the clock", "link lost"])
 @pytest.mark.parametrize("wait", SITUATIONS)
 def test_every_wait_ends_with_a_reason_when_only_the_clock_goes_on_or_the_link_is_lost(
     wait: str, link: bool
 ) -> None:
+    """But for somebody's word, as long as the link is there."""
     craft = SITUATIONS[wait]()
     if link:
         craft.take(*(events.Tick(time_s=craft.state.now_s + tick) for tick in range(1, 701)))
     else:
         lost = (3.0, 30.0, 600.0)
         craft.take(*(events.LinkLost(time_s=craft.now_s, silent_s=silent_s) for silent_s in lost))
-    if wait not in ENDLESS or not link:
+    if wait not in ("waiting", "ready", "taken") or not link:
         assert craft.over, f"still {craft.phase.value} after twelve minutes"
         assert craft.end().outcome is Outcome.FAILED

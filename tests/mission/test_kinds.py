@@ -5,22 +5,7 @@ import math
 from itertools import pairwise
 
 import pytest
-from made_up import (
-    AWAY,
-    EACH,
-    HOME_AMSL_M,
-    PLANES,
-    SPEED_M_S,
-    Craft,
-    calm,
-    flying,
-    led,
-    moving,
-    now,
-    short_legs,
-    tell,
-    told,
-)
+from made_up import AWAY, EACH, PLANES, Craft, calm, flying, led, moving, now, tell, told
 from made_up_plans import not_planned
 from renewed import replace
 
@@ -32,7 +17,6 @@ from companion.mission.mission import EndAction
 from companion.mission.phases import Phase, Reason
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
 from companion.planner.procedure import Reference
-from companion.planner.request import PlanOutcome, PlanRequest
 from companion.world.zones import CircleZone
 
 FIRST = {
@@ -87,14 +71,13 @@ def test_a_mission_is_sent_up_arrives_and_ends_as_it_should_and_keeps_the_setpoi
 @pytest.mark.sample(3)
 @EACH
 @pytest.mark.parametrize("mode", [Mode.GUIDED, Mode.HOLD, Mode.OTHER], ids=lambda mode: mode.value)
-def test_a_vehicle_that_flies_already_is_taken_over_once_somebody_selects_guided(
-    traits: VehicleTraits, mode: Mode
-) -> None:
+def test_in_the_air_it_takes_over_once_in_guided_mode(traits: VehicleTraits, mode: Mode) -> None:
     """And nobody has to say go; while another flies it, it is left alone.
 
     Below the band it climbs before anything is planned: a copter is led up at the mission's rate.
     """
     craft = calm(traits).aloft(mode, height_m=5.0)
+    begins_m = craft.here[2]
     craft.context = Context(mission=craft.context.mission, seed=1)
     if mode is Mode.OTHER:
         craft.run_for(30.0)
@@ -104,7 +87,7 @@ def test_a_vehicle_that_flies_already_is_taken_over_once_somebody_selects_guided
     craft.run_until(lambda craft: craft.state.flight.plan_id > 0)
     task = craft.state.task
     assert craft.here[2] >= task.band_amsl_m[0] - task.limits.tracking_error_m
-    heights = [HOME_AMSL_M + 5.0, *(c.position_nea_m[2] for c in craft.sent(Setpoint))]
+    heights = [begins_m, *(c.position_nea_m[2] for c in craft.sent(Setpoint))]
     if traits.hovers:
         assert max(b - a for a, b in pairwise(heights)) <= task.limits.climb_rate_m_s + 1e-6
     assert outcome_of(craft) is Outcome.ARRIVED
@@ -117,9 +100,7 @@ def test_a_vehicle_that_flies_already_is_taken_over_once_somebody_selects_guided
 @pytest.mark.sample(5)
 @EACH
 @pytest.mark.parametrize("after_s", [0.3, 3.1, 8.7, 14.9, 21.3, 27.7])
-def test_a_restart_at_any_moment_of_a_flight_goes_on_without_a_jump(
-    traits: VehicleTraits, after_s: float
-) -> None:
+def test_a_restart_in_flight_goes_on_without_a_jump(traits: VehicleTraits, after_s: float) -> None:
     """Where the vehicle is led: 1 m and 1 m/s from where it was led, or from where it is."""
     craft = told(calm(traits).run_until(lambda craft: craft.state.leg is not None), after_s)
     last, count = craft.sent(Setpoint)[-1], len(craft.sent(Setpoint))
@@ -142,7 +123,7 @@ def test_what_is_restored_is_what_was_kept() -> None:
     zone = CircleZone(name="drawn", north_m=4_000.0, east_m=-4_000.0, radius_m=500.0)
     craft.take(events.FenceChanged(time_s=craft.now_s, zones=(zone,)))
     craft.run_until(lambda craft: craft.state.flight.legs_flown == 2)
-    asked = Reference(length_m=0.4 * craft.state.leg.successor_at_m, speed_m_s=0.6 * SPEED_M_S)
+    asked = Reference(length_m=0.4 * craft.state.leg.successor_at_m, speed_m_s=90.0)
     craft.state.path.leg = replace(craft.state.leg, p_prog=asked)
     kept = checkpoint.values_of(craft.state)
     values = json.loads(json.dumps(kept))
@@ -156,17 +137,10 @@ def test_what_is_restored_is_what_was_kept() -> None:
 # --- planes
 
 
-def escapes(request: PlanRequest) -> PlanOutcome:
-    return replace(short_legs(request), terms={})
-
-
-@pytest.mark.parametrize("plan", [short_legs, escapes])
 @PLANES
-def test_a_plane_leaves_its_circle_when_it_flies_the_way_of_its_path(
-    traits: VehicleTraits, plan: object
-) -> None:
-    """A straight way out, too: begun at once, it came round on the far side of what is proven."""
-    craft = calm(traits, plan).run_until(lambda craft: craft.state.leg is not None)
+def test_a_plane_leaves_its_circle_when_it_flies_along_its_path(traits: VehicleTraits) -> None:
+    """Begun at once, it came round on the far side of what is proven."""
+    craft = calm(traits).run_until(lambda craft: craft.state.leg is not None)
     assert craft.state.path.circling
     assert all(setpoint.stay for setpoint in craft.sent(Setpoint))
     craft.run_until(lambda craft: not craft.state.path.circling)
@@ -177,16 +151,15 @@ def test_a_plane_leaves_its_circle_when_it_flies_the_way_of_its_path(
 
 @PLANES
 @pytest.mark.parametrize("at_end", [False, True])
-def test_a_plane_that_is_told_to_return_circles_one_place_until_it_leaves_for_home(
-    traits: VehicleTraits, at_end: bool
-) -> None:
-    """What it is to circle must not move: it would swing wide of both circles.
+def test_a_plane_told_to_return_circles_one_place(traits: VehicleTraits, at_end: bool) -> None:
+    """Until it leaves for home: if that place moved, it would swing wide of both circles.
 
     Of a leg the end, though it begins to circle that from before it: there its way back begins.
     """
     craft = led(traits)
+    plan = craft.plan
     if at_end:
-        craft.plan = lambda r: short_legs(r) if r.flown is not None else not_planned(r)
+        craft.plan = lambda r: not_planned(r) if r.flown is None else plan(r)
         craft.fly_to(Phase.HOLDING)
     before = len(craft.sent(Setpoint))
     tell(craft, OrderKind.RETURN)
@@ -201,9 +174,7 @@ def test_a_plane_that_is_told_to_return_circles_one_place_until_it_leaves_for_ho
 
 
 @PLANES
-def test_a_plane_that_loses_its_position_on_its_circle_comes_back_to_that_circle(
-    traits: VehicleTraits,
-) -> None:
+def test_a_plane_that_loses_its_position_comes_back_to_its_circle(traits: VehicleTraits) -> None:
     """It alone is proven: by each circle beside the last it came nearer to a hill, and hit it.
 
     It does not leave it at all where only news of its position is missing, not the position.

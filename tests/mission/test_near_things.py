@@ -14,7 +14,7 @@ from companion.mission.decisions import Turn
 from companion.mission.events import GroundSeen, NearSeen, Setpoint
 from companion.mission.mission import Fallback
 from companion.mission.phases import Phase, Reason
-from companion.planner.request import NotPlanned, PlanOutcome, PlanRequest, Refusal
+from companion.planner.request import NotPlanned, Refusal
 from companion.world.known_map import Lattice
 from companion.world.near_map import NearMap, NearSensor, Sight
 
@@ -41,11 +41,7 @@ def sees(sight: Sight = Sight.SEES, *things_m: tuple[float, float], **fields: fl
 
 
 def is_to_stop(reason: Reason | None) -> Callable[[Craft], bool]:
-    def check(craft: Craft) -> bool:
-        stop = craft.state.path.stop
-        return reason is (None if stop is None else stop.reason)
-
-    return check
+    return lambda craft: getattr(craft.state.path.stop, "reason", None) is reason
 
 
 WELL, DEAD, NEVER = sees(), sees(Sight.DEAD), sees(Sight.NEVER_HEARD)
@@ -103,21 +99,14 @@ SEEN: dict[str, tuple[Step, ...]] = {
 
 
 @pytest.mark.parametrize("seen", SEEN)
-def test_something_in_its_way_stops_it_at_once_and_what_is_elsewhere_stops_nobody(
-    seen: str,
-) -> None:
+def test_something_in_its_way_stops_it_at_once_and_what_is_elsewhere_does_not(seen: str) -> None:
     told(flying(MISSION), *SEEN[seen])
 
 
 def test_where_it_is_better_to_turn_back_it_stops_on_its_leg_and_plans_from_there() -> None:
     """Once, and that counts as a stop."""
-
-    def turns(request: PlanRequest) -> PlanOutcome:
-        if request.plan_id == 2:
-            return NotPlanned(plan_id=2, refusal=Refusal.BETTER_TO_TURN)
-        return home_or_on(request)
-
-    craft = flying(MISSION, plan=turns)
+    turns = NotPlanned(plan_id=2, refusal=Refusal.BETTER_TO_TURN)
+    craft = flying(MISSION, plan=lambda asked: turns if asked.plan_id == 2 else home_or_on(asked))
     leg = craft.state.leg
     craft.run_until(is_to_stop(Reason.NO_PLAN))
     stop_m = craft.state.path.stop.at_m

@@ -54,24 +54,15 @@ TAKEN = {
     CONTINUE: set(SITUATIONS) - {"waiting", "landing", "preparing", "ready"},
 }
 """The states in which an order is carried out, written down a second time."""
-
-
-def carried_out(kind: OrderKind, craft: Craft) -> bool:
-    """Whether the vehicle does what was ordered, within a minute or so."""
-    asked = len(craft.sent(Plan))
-    if kind in (PAUSE, RETURN, LAND):
-        craft.run_for(60.0)
-    match kind:
-        case OrderKind.PAUSE:
-            return (craft.phase, craft.state.reason) == (HOLDING, Reason.PAUSED)
-        case OrderKind.RETURN:
-            return any(plan.request.flown is not None for plan in craft.sent(Plan)[asked:])
-        case OrderKind.REPOSITION:
-            return craft.state.targets_ne_m == (OTHER_NE_M,)
-        case OrderKind.LAND:
-            return events.SetMode(mode=Mode.LAND) in craft.commands
-        case OrderKind.START | OrderKind.CONTINUE:
-            return not craft.over
+CARRIED_OUT: dict[OrderKind, tuple[Step, ...]] = {
+    PAUSE: (60.0, lambda it: (it.phase, it.state.reason) == (HOLDING, Reason.PAUSED)),
+    RETURN: (60.0, lambda it: any(plan.request.flown is not None for plan in it.sent(Plan))),
+    REPOSITION: (lambda it: it.state.targets_ne_m == (OTHER_NE_M,),),
+    LAND: (60.0, lambda it: events.SetMode(mode=Mode.LAND) in it.commands),
+    START: (lambda it: not it.over,),
+    CONTINUE: (lambda it: not it.over,),
+}
+"""What is so of a vehicle that does what was ordered, within a minute."""
 
 
 @pytest.mark.parametrize("state", [*SITUATIONS][1:])
@@ -86,12 +77,10 @@ def test_an_order_is_accepted_where_it_is_carried_out_and_what_is_accepted_is_do
     nothing_flown = (kind, state) == (RETURN, "no plan")
     if verdict is OrderResult.ACCEPTED and not (state in GOING_UP or nothing_flown):
         craft.fix = craft.fix or kind is not LAND  # which waits for none
-        assert carried_out(kind, craft)
+        told(craft, *CARRIED_OUT[kind])
 
 
-def test_an_order_that_can_never_be_carried_out_is_invalid_and_who_only_watches_obeys_nobody() -> (
-    None
-):
+def test_what_can_never_be_carried_out_is_invalid_and_who_only_watches_obeys_nobody() -> None:
     craft, shadow = flown_by(ARDUPLANE.traits), Craft(shadow=True).fly_to(Phase.SHADOW)
     for kind, target_ne_m, why in (
         (REPOSITION, (1e6, 0.0), "reposition refused: the target: it lies outside the map"),
@@ -145,9 +134,7 @@ def ways_left(craft: Craft) -> list[bytes]:
 @pytest.mark.sample(2)
 @EACH
 @pytest.mark.parametrize("restarts", [False, True])
-def test_no_stretch_of_the_way_back_is_lost_in_a_pause_or_a_restart_in_it(
-    traits: VehicleTraits, restarts: bool
-) -> None:
+def test_no_part_of_the_way_back_is_lost_in_a_pause(traits: VehicleTraits, restarts: bool) -> None:
     """A plane circles at once; a copter brakes first, and flies it to its end, never on."""
     craft = calm(traits, targets_ne_m=((400.0, 300.0), (-500.0, 200.0)))
     craft.run_until(lambda it: it.state.flight.target == 1)
@@ -219,9 +206,7 @@ TAKES = {
 
 @EACH
 @pytest.mark.parametrize("who", TAKES)
-def test_who_takes_it_has_it_by_name_and_a_word_gives_it_back(
-    traits: VehicleTraits, who: str
-) -> None:
+def test_who_takes_it_has_it_by_name_until_told_to_go_on(traits: VehicleTraits, who: str) -> None:
     """A breach alone is nothing: GF_ACTION may be a warning only."""
     script, why = TAKES[who]
     craft = told(flown_by(traits), *script)
@@ -266,9 +251,7 @@ AHEAD_NE_M = (10_000.0 * math.sqrt(0.5), 10_000.0 * math.sqrt(0.5))
 
 
 @pytest.mark.parametrize("is_ahead", [True, False])
-def test_a_fence_across_the_path_or_around_it_stops_the_vehicle_and_plans_anew(
-    is_ahead: bool,
-) -> None:
+def test_a_fence_across_the_path_or_around_it_stops_it_and_plans_anew(is_ahead: bool) -> None:
     """Clear of the one ahead, and out of the one around it."""
     craft = flying()
     place, radius_m = (AHEAD_NE_M, 500.0) if is_ahead else (craft.here[:2], 200.0)
@@ -280,9 +263,7 @@ def test_a_fence_across_the_path_or_around_it_stops_the_vehicle_and_plans_anew(
     assert craft.sent(Plan)[-1].request.from_rest
 
 
-def test_a_path_from_before_a_restart_is_not_gone_on_with_across_a_fence_that_is_read_then() -> (
-    None
-):
+def test_after_a_restart_no_path_is_gone_on_with_across_a_fence_that_is_read_then() -> None:
     craft = told(flying(), Craft.restart, Phase.PREPARING)
     assert craft.state.path is not None
     count, plans = len(craft.sent(events.Setpoint)), len(craft.sent(Plan))

@@ -13,20 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made_up import (
-    AWAY,
-    MISSION,
-    PLANES,
-    SPEED_M_S,
-    TICK_S,
-    Craft,
-    calm,
-    flying,
-    led,
-    now,
-    position,
-    told,
-)
+from made_up import MISSION, PLANES, SPEED_M_S, TICK_S, Craft, calm, flying, led, position
 from made_up_plans import LEG_M
 from renewed import deep, replace
 
@@ -53,9 +40,7 @@ def flown_m(setpoint: Setpoint) -> float:
     return math.hypot(*setpoint.position_nea_m[:2])
 
 
-def test_every_leg_is_scanned_for_once_at_p_scan_and_planned_from_p_prog_where_it_goes_over() -> (
-    None
-):
+def test_each_leg_is_scanned_for_once_at_p_scan_and_planned_and_begun_at_p_prog() -> None:
     """The answer is due after T; the first leg is scanned for and planned from rest.
 
     On a straight line the steps at speed are those of v dt, to 1e-6, from one leg to the next.
@@ -85,24 +70,13 @@ def test_every_leg_is_scanned_for_once_at_p_scan_and_planned_from_p_prog_where_i
     np.testing.assert_allclose(np.diff([*map(flown_m, at_speed)]), SPEED_M_S * TICK_S, atol=1e-6)
 
 
-def test_setpoints_lead_along_the_leg_nose_ahead_to_rest_at_its_target() -> None:
-    setpoints = Craft(AWAY).fly_to(Phase.DONE).sent(Setpoint)
-    for setpoint in setpoints[100:]:
-        north, east, _ = setpoint.position_nea_m
-        assert north == pytest.approx(east, abs=1e-6)
-        along = math.hypot(*setpoint.velocity_nea_m_s) * np.array([NORTH_EAST, NORTH_EAST, 0.0])
-        np.testing.assert_allclose(setpoint.velocity_nea_m_s, along, atol=1e-6)
-        assert setpoint.yaw_rad == pytest.approx(math.pi / 4, abs=0.02)  # at its target, too
-    assert setpoints[-1].velocity_nea_m_s == (0.0, 0.0, 0.0)
-    np.testing.assert_allclose(setpoints[-1].position_nea_m[:2], (20_000.0, 20_000.0), atol=1.0)
-
-
 def test_setpoints_wait_for_a_vehicle_that_falls_behind_and_go_on_when_it_follows() -> None:
-    craft = told(flying(), now(follows=False, velocity=(0.5, 0.5, 0.0)))
+    craft = flying()
+    craft.follows, craft.velocity = False, (0.5, 0.5, 0.0)
     ahead = [s for _ in range(100) for s in craft.tick() if isinstance(s, Setpoint)]
-    leads = [math.dist(s.position_nea_m, craft.here) for s in ahead]
-    assert len(leads) > 10
-    assert max(leads) <= SPEED_M_S * 1.0 + SPEED_M_S * TICK_S
+    assert len(ahead) > 10
+    most_m = SPEED_M_S * 1.0 + SPEED_M_S * TICK_S
+    assert max(math.dist(s.position_nea_m, craft.here) for s in ahead) <= most_m
     assert ahead[-1].velocity_nea_m_s == (0.0, 0.0, 0.0)
     while math.dist(craft.here, craft.sent(Setpoint)[-1].position_nea_m) > 4.5:  # it catches up
         craft.drift((30.0, 30.0, 0.0))
@@ -123,10 +97,9 @@ def test_a_position_that_was_overtaken_or_comes_twice_changes_nothing() -> None:
 
 # --- off its path
 
-Way = tuple[float, float, float]
-HALF = math.sqrt(0.5)
-ASIDE, ALONG, BACK, UP = (HALF, -HALF, 0.0), (HALF, HALF, 0.0), (-HALF, -HALF, 0.0), (0.0, 0.0, 1.0)
-SLANTED = (0.6 * HALF, -0.6 * HALF, 0.8)
+ALONG, BACK = (NORTH_EAST, NORTH_EAST, 0.0), (-NORTH_EAST, -NORTH_EAST, 0.0)
+ASIDE, UP = (NORTH_EAST, -NORTH_EAST, 0.0), (0.0, 0.0, 1.0)
+SLANTED = (0.6 * NORTH_EAST, -0.6 * NORTH_EAST, 0.8)
 ERROR_M, SAFETY_M = MISSION.task.limits.tracking_error_m, MISSION.task.settings.safety_distance_m
 FAR_M = ERROR_M + min(ERROR_M, 0.5 * SAFETY_M)
 STOPS_S = SPEED_M_S / 5.0
@@ -137,29 +110,14 @@ def cruising() -> Craft:
     return flying().run_for(60.0)
 
 
-def on_arc(radius_m: float, angle_rad: float, at: float, points: int = 30) -> OnPath:
+def on_arc(radius_m: float, angle_rad: float, at: float) -> OnPath:
     """The path that bends to the right so, in the middle of a leg, and how far along it is."""
-    turn_rad = np.linspace(0.0, angle_rad, points)
+    turn_rad = np.linspace(0.0, angle_rad, 30)
     arc = np.stack([np.sin(turn_rad), 1.0 - np.cos(turn_rad), 0.0 * turn_rad], axis=-1)
     bent = Subpath(control_nea_m=radius_m * arc + (0.0, 0.0, cruising().here[2]))
     path = cruising().state.path
     reference = Reference(length_m=at * bent.length_m, speed_m_s=SPEED_M_S)
     return replace(path, leg=replace(path.leg, subpath=bent), reference=reference, next_leg=None)
-
-
-def found_at(path: OnPath, way: Way, by_m: float, later_s: float = 0.0) -> tuple[OnPath, Any]:
-    """What follows if the vehicle is found so far from its reference point on that path.
-
-    later_s: after it has been outside of its tube for so long.
-    """
-    state = deep(replace(cruising().state, path=path))
-    path = state.path
-    told = path.leg.subpath.pose(path.reference.length_m).position_nea_m
-    here = tuple(np.add(told, np.multiply(way, by_m)).tolist())
-    if later_s:
-        path.outside_since_s, path.outside_m = state.now_s - later_s, 1.0
-    event = position(state.now_s, here, cruising().velocity)
-    return path, departs(state, state.stage, path, event, Turn(state, cruising().context))
 
 
 LIMITS = {
@@ -170,13 +128,12 @@ LIMITS = {
     "not back in time": ((ASIDE,), ERROR_M, STOPS_S + 4.0, None, Reason.OFF_PATH),
     "not back, in time": ((ASIDE,), ERROR_M, STOPS_S + 2.0, Reason.BESIDE_PATH, None),
 }
-"""Ways, how far, and for how long: from there on it is to stop on its path, or to hold."""
+"""Which way it is how far from its reference point, having been outside of its tube for so long:
+from there on it is to stop on its path, or to hold."""
 
 
 @pytest.mark.parametrize(("off_m", "looks"), [(4.0, False), (2.9, True)])
-def test_no_leg_is_looked_for_until_a_copter_is_within_the_tube_that_it_begins_with(
-    off_m: float, looks: bool
-) -> None:
+def test_no_leg_is_looked_for_until_a_copter_is_within_its_tube(off_m: float, looks: bool) -> None:
     """Of 3 m: else it would have left its path as it sets out."""
     craft = calm(ARDUCOPTER.traits).fly_to(Phase.FLYING)
     craft.state, (north, east, up) = deep(craft.state), craft.here
@@ -187,14 +144,19 @@ def test_no_leg_is_looked_for_until_a_copter_is_within_the_tube_that_it_begins_w
 
 @pytest.mark.parametrize("share", [0.98, 1.02])
 @pytest.mark.parametrize("limit", LIMITS)
-def test_who_leaves_where_it_was_proven_to_be_is_noted_and_is_to_stop_or_to_hold(
-    limit: str, share: float
-) -> None:
-    ways, limit_m, later_s, stops, departs = LIMITS[limit]
+def test_who_leaves_what_was_proven_is_noted_and_to_stop_or_hold(limit: str, share: float) -> None:
+    ways, limit_m, later_s, stops, holds = LIMITS[limit]
     for way in ways:
-        path, reason = found_at(cruising().state.path, way, share * limit_m, later_s)
-        assert reason is (departs if share > 1.0 else None)
-        if departs is None:
+        state = deep(cruising().state)
+        path = state.path
+        told = path.leg.subpath.pose(path.reference.length_m).position_nea_m
+        here = tuple((told + share * limit_m * np.array(way)).tolist())
+        if later_s:
+            path.outside_since_s, path.outside_m = state.now_s - later_s, 1.0
+        event = position(state.now_s, here, cruising().velocity)
+        reason = departs(state, state.stage, path, event, Turn(state, cruising().context))
+        assert reason is (holds if share > 1.0 else None)
+        if holds is None:
             left_m = max(share - 1.0, 0.0) * limit_m
             assert later_s or path.outside_m == pytest.approx(left_m, rel=0.01)
             stop = None if path.stop is None else path.stop.reason
@@ -203,9 +165,7 @@ def test_who_leaves_where_it_was_proven_to_be_is_noted_and_is_to_stop_or_to_hold
 
 @PLANES
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_plane_that_sinks_or_rises_out_of_its_tube_has_left_it(
-    traits: VehicleTraits, sign: float
-) -> None:
+def test_a_plane_that_sinks_or_rises_leaves_its_tube(traits: VehicleTraits, sign: float) -> None:
     """What is proven is the level circle about each point of the path, and not a ball."""
     craft = led(traits)
     state, task = craft.state, craft.state.task
@@ -222,7 +182,7 @@ def test_who_is_within_a_tracking_error_of_its_path_is_not_outside_of_anything()
     rng, inside, outside = np.random.default_rng(1), 0, 0
     for _ in range(40):
         bend_m = MISSION.task.limits.turn_radius_m * rng.uniform(1.1, 3.0)
-        path = on_arc(bend_m, rng.uniform(0.2, 2.0), rng.uniform(0.0, 1.0), points=7)
+        path = on_arc(bend_m, rng.uniform(0.2, 2.0), rng.uniform(0.0, 1.0))
         pose, samples = (bent := path.leg.subpath).pose(path.reference.length_m), bent.sampled(0.1)
         for off_m in (np.zeros(3), *(rng.normal(size=(40, 3)) * ERROR_M * rng.uniform(0.1, 1.5))):
             here = (pose.position_nea_m + off_m).tolist()
@@ -241,17 +201,19 @@ def test_who_is_within_a_tracking_error_of_its_path_is_not_outside_of_anything()
 
 
 @pytest.mark.parametrize("radius_m", [400.0, 1_000.0, 10_000.0])
-def test_setpoints_lead_into_a_bend_by_as_much_as_the_autopilot_is_flown_out_of_it(
-    radius_m: float,
-) -> None:
+def test_setpoints_lead_along_a_bend_and_into_it_by_what_is_flown_wide(radius_m: float) -> None:
     state, path = deep(cruising().state), on_arc(radius_m, 1.0, 0.5)
     state.flight.sent_at_s, turn = -math.inf, Turn(state, cruising().context)
     send_setpoint(state, path, position(state.now_s, cruising().here), turn)
     pose = path.leg.subpath.pose(path.reference.length_m)
-    off = np.subtract(turn.commands[-1].position_nea_m, pose.position_nea_m)
+    [sent] = turn.commands
+    off = np.subtract(sent.position_nea_m, pose.position_nea_m)
     expected_m = state.vehicle.traits.handling.leading_s2 * SPEED_M_S**2 / radius_m
     inwards = pose.curvature_nea_1_m / np.linalg.norm(pose.curvature_nea_1_m)
     np.testing.assert_allclose(off, expected_m * inwards, rtol=0.01, atol=1e-6)
+    speed_m_s = math.hypot(*sent.velocity_nea_m_s)
+    np.testing.assert_allclose(sent.velocity_nea_m_s, speed_m_s * pose.tangent_nea, atol=1e-6)
+    assert sent.yaw_rad == pytest.approx(math.atan2(*pose.tangent_nea[1::-1]))
 
 
 # --- who joins a path, as after a restart
@@ -326,7 +288,6 @@ def test_who_is_found_on_either_of_two_legs_is_led_on_from_where_its_autopilot_l
         )
     found = told_nothing(state, tuple(here.tolist()), tuple(flies.tolist()), echo)
     path = joined(found, path)
-    assert path is not None
     assert path.leg is leg
     at_m, speed_m_s, offset = path.reference.length_m, path.reference.speed_m_s, path.offset
     pose = leg.subpath.pose(at_m)
@@ -340,9 +301,7 @@ def test_who_is_found_on_either_of_two_legs_is_led_on_from_where_its_autopilot_l
 
 @PLANES
 @pytest.mark.parametrize("says", [False, True])
-def test_a_plane_found_circling_about_its_path_goes_on_circling_the_same_place(
-    traits: VehicleTraits, says: bool
-) -> None:
+def test_a_plane_found_circling_goes_on_circling_there(traits: VehicleTraits, says: bool) -> None:
     """As far as its autopilot says what it circles; else the place next to where it is."""
     state = led(traits).state
     centre = state.leg.subpath.pose(state.reference.length_m + 40.0)
@@ -352,7 +311,6 @@ def test_a_plane_found_circling_about_its_path_goes_on_circling_the_same_place(
     echo = events.Echo(time_s=state.now_s, position_nea_m=centre.point_nea_m) if says else None
     found = told_nothing(state, tuple(at.tolist()), (0.0, 15.0, 0.0), echo)
     path = joined(found, state.path)
-    assert path is not None
     assert path.circling
     off_m = math.dist(found.flight.hover_nea_m, centre.point_nea_m)
     assert off_m < 0.5 if says else off_m > 5.0

@@ -32,13 +32,14 @@ from made_up import (
     order_of,
     position,
     says,
+    tell,
     texts,
     told,
 )
 from made_up_plans import not_planned, planned, straight
 from renewed import replace
 
-from companion.mission import changes, checkpoint, events, phases
+from companion.mission import changes, events, phases
 from companion.mission.battery import battery_lasts
 from companion.mission.decisions import Context
 from companion.mission.events import Landed, Mode, OrderKind, Outcome, Setpoint
@@ -66,30 +67,15 @@ def under_way(**changes: object) -> Callable[[], Craft]:
     return lambda: flying(of, plan=home_or_on)
 
 
-def back_as_flown(request: PlanRequest) -> PlanOutcome:
-    """A planner that finds every way; the way back ends where the flown path begins."""
-    if request.flown is None:
-        return planned(request)
-    return backtrack(request, straight(request.scan_nea_m, request.flown[0].control_nea_m[0]))
-
-
 def taken_over(of: Mission = AWAY) -> Craft:
     """Started in the air, 3.6 km from home."""
-    craft = Craft(of, plan=back_as_flown).aloft(Mode.GUIDED)
+    craft = Craft(of, plan=home_or_on).aloft(Mode.GUIDED)
     craft.here = OUT_NEA_M
     return craft
 
 
 def closed_in(request: PlanRequest) -> NotPlanned:
     return NotPlanned(plan_id=request.plan_id, refusal=Refusal.START_NEAR_TERRAIN)
-
-
-def low() -> Craft:
-    """It climbs to 4 m above home."""
-    lower_m = NEAR.task.take_off_amsl_m - (HOME_AMSL_M + 4.0)
-    floor_m = NEAR.task.limits.floor_amsl_m - lower_m
-    limits = replace(NEAR.task.limits, floor_amsl_m=floor_m)
-    return Craft(replace(NEAR, task=replace(NEAR.task, limits=limits)))
 
 
 def landing_begun() -> Craft:
@@ -104,45 +90,20 @@ def until(done: Callable[[Craft], object], limit_s: float = 3600.0) -> Callable[
 
 
 LOW = now(battery=0.1)
-WITHOUT_GO = now(context=Context(mission=MISSION, seed=1))
 GIVEN_BACK = now(mode=Mode.GUIDED, obeys_modes=True)
 FALLEN = now(mode=Mode.OTHER, armed=False, landed=Landed.ON_GROUND)
 LED_ON = until(lambda craft: craft.state.reference.length_m > 2_000.0)
 TAKES_OVER = until(lambda craft: craft.state.held_for in (*phases.TAKES_OVER, Reason.NO_PLAN))
 
 
-def no_way_on(craft: Craft) -> None:
-    """To the target; home there is one."""
-    there, plan = AWAY.targets_ne_m[0], craft.plan
-    craft.plan = lambda r: not_planned(r) if r.target_ne_m == there else plan(r)
-
-
-def back_by(share: float) -> Callable[[PlanRequest], PlanOutcome]:
-    """So much of the way back is proven, and no way home from there."""
-
-    def plan(request: PlanRequest) -> PlanOutcome:
-        if request.flown is None:
-            is_home = math.hypot(*request.target_ne_m) < 10.0
-            return not_planned(request) if is_home else planned(request)
-        north, east, up = here = request.scan_nea_m
-        part = straight(here, ((1.0 - share) * north, (1.0 - share) * east, up))
-        return backtrack(request, *([part] if share else []), reaches_start=False)
-
-    return plan
-
-
-def without_memory(craft: Craft) -> None:
-    """Its companion dies, and of its checkpoint nothing can be read."""
-    number = craft.state.flight.plan_id
-    craft.resumes(
-        checkpoint.without_checkpoint("torn", system_id=1, time_s=craft.now_s, plan_id=number)
-    )
-
-
-def answered(craft: Craft) -> None:
-    """The planner answers what it was asked last."""
-    outcome = home_or_on(craft.sent(events.Plan)[-1].request)
-    craft.hear(events.PlanReady(time_s=craft.now_s, outcome=outcome))
+def half_back(request: PlanRequest) -> PlanOutcome:
+    """Half of the way back is proven, and no way home from there."""
+    if request.flown is None:
+        is_home = math.hypot(*request.target_ne_m) < 10.0
+        return not_planned(request) if is_home else planned(request)
+    north, east, up = here = request.scan_nea_m
+    half = straight(here, (0.5 * north, 0.5 * east, up))
+    return backtrack(request, half, reaches_start=False)
 
 
 def is_found(aside_m: float) -> Callable[[Craft], None]:
@@ -150,32 +111,23 @@ def is_found(aside_m: float) -> Callable[[Craft], None]:
     return lambda craft: setattr(craft, "here", (craft.here[0] + aside_m, *craft.here[1:]))
 
 
-def drains(craft: Craft) -> None:
-    craft.context = Context(mission=replace(NEAR, endurance_s=600.0), seed=1)
-    craft.battery = 0.1
-
-
-def fence_on_its_way_back(craft: Craft) -> None:
-    north, east, _ = craft.here
-    zone = CircleZone(name="z", north_m=0.5 * north, east_m=0.5 * east, radius_m=100.0)
-    craft.hear(events.FenceChanged(time_s=craft.now_s, zones=(zone,)))
-
-
-AROUND = CircleZone(name="z", north_m=0.0, east_m=0.0, radius_m=100.0)
+HOME_ZONE = CircleZone(name="z", north_m=0.0, east_m=0.0, radius_m=100.0)
+FENCED_OFF = hears(events.FenceChanged, zones=(HOME_ZONE,))
 CHECK, PARAMETER = "signing: none", "GUID_OPTIONS = 16"
 LOSSES: dict[str, Callable[[Craft], object]] = {
     Reason.NO_FIX.text: now(fix=False),
     Reason.LINK_LOST.text: hears(events.LinkLost, silent_s=3.0),
-    Reason.BATTERY_SHORT.text: drains,
+    Reason.BATTERY_SHORT.text: now(
+        context=Context(mission=replace(NEAR, endurance_s=600.0), seed=1), battery=0.1
+    ),
     Reason.POSITION_JUMPED.text: now(here=(1e6, 0.0, HOME_AMSL_M)),
-    Reason.OUTSIDE.text: hears(events.FenceChanged, zones=(AROUND,)),
+    Reason.OUTSIDE.text: FENCED_OFF,
     CHECK: hears(events.Prepared, item=events.Item.CHECKS, refusal=CHECK, remedy="x"),
     PARAMETER: hears(events.Prepared, item=events.Item.PARAMETERS, refusal=PARAMETER),
     Reason.NO_TARGETS.text: hears(events.TargetsChanged, targets_ne_m=()),
 }
 """What may be lost while it waits for go, by what is said of it."""
 NAMESAKE = hears(events.DuplicateId, certain=True, news=True)
-GOES_ON = hears(events.DuplicateId, certain=True, news=False)
 LANDS_BY_ITSELF = now(mode=Mode.LAND, failsafe=True, obeys_modes=False)
 FENCE_CHANGES = hears(events.FenceReading, items=5010)
 FENCE_IS_READ = (hears(events.FenceChanged, zones=()), hears(events.FenceReading, items=0))
@@ -197,7 +149,6 @@ def at_its_start(craft: Craft) -> bool:
 
 
 def is_home(craft: Craft) -> bool:
-    assert craft.home_nea_m is not None
     return math.dist(craft.here[:2], craft.home_nea_m[:2]) < 100.0 and is_down(craft)
 
 
@@ -242,12 +193,8 @@ def told_nothing(craft: Craft) -> bool:
 
 def ends(*why: Reason) -> Callable[[Craft], bool]:
     """For that, with what helps against the last of them."""
-
-    def check(craft: Craft) -> bool:
-        end = craft.end()
-        return (end.reason, end.remedy) == (": ".join(r.text for r in why), why[-1].remedy)
-
-    return check
+    said = ": ".join(reason.text for reason in why), why[-1].remedy
+    return lambda craft: (craft.end().reason, craft.end().remedy) == said
 
 
 def ends_as(outcome: Outcome, why: str) -> Callable[[Craft], bool]:
@@ -278,13 +225,10 @@ def is_led_nowhere(craft: Craft) -> bool:
 
 def refuses(kind: OrderKind, why: str) -> Callable[[Craft], bool]:
     """Such an order, for now, and says why."""
-
-    def check(craft: Craft) -> bool:
-        order = order_of(craft, kind)
-        result, said = changes.order_result(craft.state, order), changes.why_not(craft.state, order)
-        return result is changes.OrderResult.NOT_NOW and why in said
-
-    return check
+    return lambda craft: (
+        tell(craft, kind) is changes.OrderResult.NOT_NOW
+        and why in changes.why_not(craft.state, order_of(craft, kind))
+    )
 
 
 LEFT_ALONE = is_left_alone_for(150.0)
@@ -292,14 +236,10 @@ IS_PAUSED, UNREAD = holds_for(Reason.PAUSED), holds_for(Reason.FENCE_UNREAD)
 BACK = says(": flying back, then home")
 EMPTY_ONCE = (hears(events.Battery, remaining=0.0), 2.0, hears(events.Battery, remaining=0.0), 2.5)
 NO_PAUSE = refuses(PAUSE, f"pause refused: {Reason.BATTERY_LOW.text}")
-FALLS_BACK = (
-    *(Reason.BATTERY_LOW, says(f"hold: {Reason.BATTERY_LOW.text}"), DONE),
-    lambda it: it.end().outcome is Outcome.FAILED,
-)
 TAKES_OFF = until(lambda craft: craft.sent(events.TakeOff))
 ASKS_BACK = until(lambda craft: getattr(craft.state.stage, "backtrack", None))
 PAUSED_BEFORE = (RETURN, now(plan=lambda _: None), ASKS_BACK, PAUSE, now(plan=home_or_on), 5.0)
-STAYS_PAUSED = (300.0, IS_PAUSED, CONTINUE, RETURNING)
+STAYS_PAUSED = (400.0, IS_PAUSED, CONTINUE, RETURNING)
 ELSEWHERE_FOUND = (holds_for(Reason.POSITION_ELSEWHERE), lambda it: it.mode is Mode.HOLD)
 BROKEN_OFF = (
     *(now(mode=Mode.GUIDED, failsafe=False), 120.0, IS_PAUSED, is_led_level),
@@ -314,7 +254,9 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "low, and told to return": (under_way(fallback=Fallback.HOLD), LOW, RETURN, DONE, is_home),
     "low in a pause on the way back": (under_way(fallback=Fallback.LAND),
         RETURN, RETURNING, 10.0, PAUSE, HOLDING, 20.0, IS_PAUSED, LOW, DONE, is_home),
-    "low in a pause": (under_way(), PAUSE, HOLDING, 5.0, LOW, *FALLS_BACK, is_home),
+    "low in a pause": (under_way(),
+        PAUSE, HOLDING, 5.0, LOW, Reason.BATTERY_LOW, says(f"hold: {Reason.BATTERY_LOW.text}"),
+        DONE, is_home, lambda it: it.end().outcome is Outcome.FAILED),
     "low after it was told to go on": (under_way(),
         now(plan=lambda r: not_planned(r) if r.flown is None else None), Reason.NO_PLAN, PAUSE,
         now(plan=planned), CONTINUE, FLYING, 20.0, LOW, Reason.BATTERY_LOW),
@@ -336,7 +278,6 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         RETURN, RETURNING, 10.0, LOW, 5.0, says(Reason.BATTERY_LOW.text), NO_PAUSE, DONE, is_down),
     # home is where the vehicle has it, and not where it was taken over
     "told to return": (taken_over, LED_ON, RETURN, DONE, is_home, BACK),
-    "no way on": (taken_over, LED_ON, no_way_on, DONE, is_home, BACK),
     "told to return at once": (taken_over, TAKES_OVER, RETURN, DONE, is_home,
         says(": planning a way home")),
     "at the last target": (lambda: taken_over(replace(NEAR, end_action=EndAction.RETURN)),
@@ -350,15 +291,10 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "home is off the map": (taken_over,
         now(home_nea_m=(0.0, 1e6, HOME_AMSL_M)), LED_ON, RETURN, DONE, back_by_itself,
         asked_for_no_way_home, says("home: it lies outside the map")),
-    "home is told anew after a reboot": (lambda: flying(AWAY, plan=back_as_flown),
+    "home is told anew after a reboot": (under_way(),
         20.0, Craft.reboot, lambda it: setattr(it, "home_nea_m", it.here), FLYING,  # in the air
         RETURN, DONE, at_its_start),
-    "none of the way back is proven, and no way home": (
-        lambda: flying(AWAY, plan=back_by(0.0)),
-        20.0, RETURN, DONE, lambda it: it.mode is Mode.RETURN and RETURNING not in it.phases,
-        ends_as(Outcome.STOPPED, "its autopilot returns by itself: told to return")),
-    "half of the way back is proven, and no way home": (
-        lambda: flying(AWAY, plan=back_by(0.5)),
+    "half of the way back is proven, and no way home": (lambda: flying(AWAY, plan=half_back),
         20.0, RETURN, DONE, lambda it: it.mode is Mode.RETURN and RETURNING in it.phases,
         ends_as(Outcome.STOPPED, "its autopilot returns by itself: told to return")),
     **{f"told to return after a {again.__name__}, found in {found.value}": (under_way(),
@@ -371,11 +307,15 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "a return paused at once": (under_way(),
         RETURN, PAUSE, 2.0, CONTINUE, DONE, at_its_start,
         ends_as(Outcome.STOPPED, f"landed: {Reason.RETURN_ASKED.text}")),
-    "a return paused before its answer": (under_way(), *PAUSED_BEFORE, answered, *STAYS_PAUSED),
+    "a return paused before its answer": (under_way(), *PAUSED_BEFORE, lambda it: it.hear(
+        events.PlanReady(time_s=it.now_s, outcome=home_or_on(it.sent(events.Plan)[-1].request))),
+        *STAYS_PAUSED),
     "a return paused, and a restart": (under_way(), *PAUSED_BEFORE, Craft.restart, *STAYS_PAUSED),
     "a return for want of plans, paused": (under_way(fallback=Fallback.RETURN),
         now(plan=lambda r: not_planned(r) if r.flown is None else home_or_on(r)),
         RETURNING, 10.0, PAUSE, 1.0, CONTINUE, DONE, at_its_start),
+    "at its target its nose stays where it was": (lambda: flying(AWAY),
+        DONE, arrives, lambda it: abs(it.sent(Setpoint)[-1].yaw_rad - math.pi / 4) < 0.02),
     # plans, links, restarts and reboots
     "there is no plan at all": (lambda: Craft(plan=not_planned),
         DONE, is_down, lambda it: [p.request.attempt for p in it.sent(events.Plan)] == [0, 1, 2, 3],
@@ -395,9 +335,6 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "from rest a radar that left something out is asked twice more": (Craft,
         now(asked=2), until(lambda it: it.sent(events.Plan)),
         lambda it: len(it.sent(events.StartScan)) == 3),
-    "and once it leaves nothing out no more": (Craft,
-        now(asked=2), until(lambda it: it.sent(events.StartScan)), now(answered=2),
-        until(lambda it: it.sent(events.Plan)), lambda it: len(it.sent(events.StartScan)) <= 2),
     "a fix where it cannot be": (lambda: Craft().fly_to(FLYING).run_for(10.0),
         now(fix=False), 3.0, now(fix=True), is_found(50.0), 15.0, *ELSEWHERE_FOUND,
         is_told_50_m_off, is_led_nowhere,
@@ -422,11 +359,13 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         now(takes_off=False, accepts=True), TAKES_OFF, 0.5, Craft.restart, 3.0,
         now(climb_to_m=NEAR.task.take_off_amsl_m), DONE, arrives),
     "without its memory": (under_way(),
-        30.0, without_memory, DONE, arrives, says("without memory"), says("torn")),
+        30.0, lambda it: it.restart(torn=True), DONE, arrives, says("without memory"),
+        says("torn")),
     "without its memory on the ground": (Craft,
-        without_memory, DONE, ends(Reason.GROUNDED), told_nothing),
+        lambda it: it.restart(torn=True), DONE, ends(Reason.GROUNDED), told_nothing),
     "armed before a restart, and nobody says go": (lambda: Craft().fly_to(Phase.ARMING),
-        until(lambda it: it.armed), WITHOUT_GO, Craft.restart, DONE,
+        until(lambda it: it.armed), now(context=Context(mission=MISSION, seed=1)), Craft.restart,
+        DONE,
         lambda it: it.state.reason is Reason.NOT_READY and not it.sent(events.TakeOff),
         lambda it: len(it.sent(events.Disarm)) > 0),
     "a reboot in its landing": (landing_begun, Craft.reboot, DONE, is_down),
@@ -446,9 +385,10 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "one that was accepted and does not begin is asked for again": (lambda: Craft(NEAR),
         now(takes_off=False, accepts=True), TAKES_OFF, 5.8,
         lambda it: len(it.sent(events.TakeOff)) == 2),
-    "a low take-off has not ended as it lifts off": (low,
-        TAKES_OFF, now(climbs=False), hears(events.LandedState, landed=Landed.IN_AIR),
-        lambda it: it.take(position(it.now_s + 0.05, (0.0, 0.0, HOME_AMSL_M + 0.3))) is not None,
+    "a take-off to 4 m above home has not ended as it lifts off": (lambda: Craft(NEAR),
+        now(home_nea_m=(0.0, 0.0, NEAR.task.take_off_amsl_m - 4.0)), TAKES_OFF, now(climbs=False),
+        hears(events.LandedState, landed=Landed.IN_AIR),
+        lambda it: it.take(position(it.now_s + 0.05, (0.0, 0.0, NEAR.task.take_off_amsl_m - 3.7))),
         lambda it: it.phase is Phase.TAKING_OFF),
     # a landing that is broken off is held where it is until somebody says go on
     "broken off": (landing_begun, *BROKEN_OFF),
@@ -472,8 +412,6 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         holds_for(Reason.FAILSAFE), now(obeys_modes=True), START, DONE, arrives)
         for when, again in (("", ()), (" after a restart", (Craft.restart, 20.0)))},
     # orders
-    "paused for as long as it takes": (under_way(),
-        PAUSE, HOLDING, 400.0, IS_PAUSED, CONTINUE, FLYING),
     "started where a pilot had it": (SITUATIONS["taken"],
         5.0, now(obeys_modes=True), START, 3.0, lambda it: it.mode is Mode.GUIDED, FLYING),
     "other targets, and then none": (under_way(),
@@ -510,7 +448,7 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     "low, it does not wait for a fence": (under_way(),
         LOW, Reason.BATTERY_LOW, FENCE_CHANGES, 60.0, lambda it: it.phase is not HOLDING),
     "a fence on its way back in a pause": (under_way(),
-        RETURN, RETURNING, 10.0, PAUSE, HOLDING, fence_on_its_way_back, is_led, IS_PAUSED),
+        RETURN, RETURNING, 10.0, PAUSE, HOLDING, FENCED_OFF, is_led, IS_PAUSED),
     # who says go, and to what
     "it is ready for as long as it takes": (ready,
         200.0, told_nothing, says("waits for go", 1), START, Phase.TAKING_OFF,
@@ -539,14 +477,12 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         LANDS, hears(events.VehicleStatus, mode=Mode.OTHER, armed=False, failsafe=False),
         lambda it: not moving(it.take(*(events.Tick(time_s=it.now_s + s) for s in (1.0, 2.0))))),
     # another companion of the same vehicle is heard: on the ground both refuse
-    "another companion before it says anything": (preparing,
-        NAMESAKE, DONE, ends(Reason.NOT_ALONE), told_nothing),
     "another companion before it is armed": (lambda: Craft().fly_to(Phase.ARMING),
         now(arms=False), 2.0, NAMESAKE, DONE, ends(Reason.NOT_ALONE),
         lambda it: not it.sent(events.TakeOff)),
     "another companion in flight": (under_way(),
-        NAMESAKE, *20 * (1.0, GOES_ON), says(f"{Reason.NOT_ALONE.text}: end it", 1),
-        DONE, arrives),
+        NAMESAKE, *20 * (1.0, hears(events.DuplicateId, certain=True, news=False)),
+        says(f"{Reason.NOT_ALONE.text}: end it", 1), DONE, arrives),
     # it is stopped
     "stopped in a landing for want of plans": (
         lambda: Craft(replace(NEAR, fallback=Fallback.LAND), plan=closed_in),
@@ -588,10 +524,11 @@ def fails(failure: Reason, fallback: Fallback) -> Craft:
 
 @pytest.mark.parametrize("failure", FAILURES, ids=lambda reason: reason.name)
 @pytest.mark.parametrize("fallback", Fallback)
-def test_a_flight_that_fails_ends_by_its_fallback_and_that_is_said_before_it_is_done(
-    failure: Reason, fallback: Fallback
-) -> None:
-    """No way back is proven: its autopilot returns; but what does not know where it is lands."""
+def test_a_flight_that_fails_ends_by_its_fallback(failure: Reason, fallback: Fallback) -> None:
+    """No way back is proven: its autopilot returns; but what does not know where it is lands.
+
+    That is said before it is done.
+    """
     craft = fails(failure, fallback).fly_to(DONE)
     assert craft.end().outcome is Outcome.FAILED
     if fallback is Fallback.HOLD:
@@ -611,9 +548,8 @@ def test_a_flight_that_fails_ends_by_its_fallback_and_that_is_said_before_it_is_
 
 @pytest.mark.parametrize("obeys", [True, False])
 @pytest.mark.parametrize("how", [Fallback.RETURN, Fallback.LAND])
-def test_what_does_not_take_the_one_is_asked_for_the_other_or_to_hold_and_a_person_to_take_over(
-    how: Fallback, obeys: bool
-) -> None:
+def test_who_does_not_take_the_one_is_asked_for_the_other(how: Fallback, obeys: bool) -> None:
+    """Or, if that is in vain, to hold, and a person to take over."""
     phases = [(Phase.HANDING_OVER, Mode.RETURN), (LANDING, Mode.LAND)]
     first, second = phases if how is Fallback.RETURN else reversed(phases)
     script = (first[0], now(obeys_modes=False), second[0], now(obeys_modes=obeys), DONE)

@@ -1,10 +1,14 @@
 """Laws of the mission machine, checked at each step by one who only sees events and commands.
 
-The watch believes nothing that the machine says of itself: it works out by its own, simpler, means
-whether the position may be trusted, whose the mode is, which paths are proven and newest, when the
-last word was said, and what people have ordered: a pause is kept until a word ends it, or the
-battery; told to return, it flies to no target any more, told to land, nowhere; what was planned
-before an order is not flown after it; and with a battery below its reserve it leads to no target.
+There is no setpoint from a position that is not to be trusted, nor beside a path that is proven and
+the newest, nor with a value that is not finite or out of range, nor on the ground, nor in a mode
+that is not ours; no silence in guided mode and no phase beyond its deadline; no arming and no
+take-off after a flight.  Nobody else's vehicle is told anything, and nothing after the end.  A
+pause is kept until a word ends it, or the battery; told to return, it flies to no target any more,
+told to land, nowhere; what was planned before an order is not flown after it; and with a battery
+below its reserve it leads to no target.
+The watch believes nothing that the machine says of itself: all that it works out by its own,
+simpler, means.
 """
 
 import math
@@ -12,21 +16,19 @@ import operator
 from typing import Any
 
 import numpy as np
+from made_up import MOVING, moving
 
 from companion.mavlink.autopilots import Autopilot
 from companion.mavlink.autopilots.messages import To
 from companion.mission import events
 from companion.mission.decisions import Context
 from companion.mission.events import Command, Event, Landed, Mode, OrderKind, Position, Setpoint
-from companion.mission.phases import Phase, Reason, Trigger
+from companion.mission.phases import OVER, Phase, Reason, Trigger
 from companion.mission.state import Goal, State
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Leg
-from companion.planner.request import Backtrack, Planned, PlanOutcome
+from companion.planner.request import Backtrack, Planned
 
-OVER = (Phase.DONE, Phase.FAULTED)
-MOVING = (events.SetMode, Setpoint, events.Arm, events.TakeOff, events.SetSpeed)
-"""Commands that move a vehicle."""
 STREAMS = (Phase.FLYING, Phase.HOLDING, Phase.ARRIVED, Phase.RETURNING)
 ARROWS = {(phase, trigger.after) for trigger in Trigger for phase in trigger.origins}
 TAKEN = (Reason.MODE_TAKEN, Reason.FAILSAFE, Reason.FENCE_BREACHED)
@@ -146,8 +148,11 @@ class Watch:
             case events.Order(kind=OrderKind.START | OrderKind.CONTINUE):
                 self.told_by_person = True
                 self.said_go |= event.kind is OrderKind.START
-            case events.PlanReady(outcome=outcome) if outcome.plan_id == self.newest:
-                self._prove(outcome)
+            case events.PlanReady(outcome=Planned(plan_id=self.newest) as way):
+                if way.certificate.proven:
+                    self.proven.add(_name(way.subpath))
+            case events.PlanReady(outcome=Backtrack(plan_id=self.newest, subpaths=subpaths)):
+                self.proven.update(map(_name, subpaths))
             case Position() if self.position is None or now > self.position.time_s:
                 self._hear_position(event)
                 return True
@@ -165,20 +170,12 @@ class Watch:
             self.moved_at_s = now
             return
         top = math.hypot(self.limits.speed_m_s, self.limits.climb_rate_m_s)
-        if (
-            math.dist(last.position_nea_m, event.position_nea_m)
-            > 1.5 * top * (now - last.time_s) + 20.0
-        ):
+        most_m = 1.5 * top * (now - last.time_s) + 20.0
+        if math.dist(last.position_nea_m, event.position_nea_m) > most_m:
             self.jumped_at_s = now
         moves = last.position_nea_m[:2] != event.position_nea_m[:2]
         if moves or math.hypot(*event.velocity_nea_m_s[:2]) <= 1.0:
             self.moved_at_s = now
-
-    def _prove(self, outcome: PlanOutcome) -> None:
-        if isinstance(outcome, Planned) and outcome.certificate.proven:
-            self.proven.add(_name(outcome.subpath))
-        elif isinstance(outcome, Backtrack):
-            self.proven.update(map(_name, outcome.subpaths))
 
     def trusts(self, now_s: float) -> bool:
         """Whether the position may be believed: design 7, second row."""
@@ -199,7 +196,7 @@ class Watch:
     def _moves(self, before: State, after: State, commands: list[Command]) -> None:
         if after.phase is not before.phase:
             assert (before.phase, after.phase) in ARROWS, f"{before.phase} -> {after.phase}"
-            if after.phase in (Phase.FLYING, Phase.RETURNING, Phase.LANDING):
+            if after.phase in PROGRESS:
                 self.told_by_person = False
         ends = [command for command in commands if isinstance(command, events.End)]
         assert len(ends) == (after.phase in OVER), "an end is said once, when it is over"
@@ -207,19 +204,16 @@ class Watch:
             assert end.reason
             assert end.remedy or end.outcome is events.Outcome.ARRIVED, "no remedy"
             if end.reason == Reason.NOT_ALONE.text:
-                told = [command for command in commands if isinstance(command, MOVING)]
-                assert not told, "another companion's vehicle was told something"
+                assert not moving(commands), "another companion's vehicle was told something"
 
     def _whose(self, before: State, after: State, command: Command) -> None:
         """Nobody else's vehicle is told anything: modes that are not ours, and let-go holds."""
         said = f"{command} in {before.phase} ({before.reason}), mode {self.mode}"
         if before.phase is Phase.ARMING or after.phase in (Phase.ARMING, Phase.TAKING_OFF):
             return
-        if before.phase is Phase.HOLDING and before.reason in TAKEN:
-            if self.mode is not Mode.GUIDED:
-                assert self.told_by_person, f"fought for the vehicle: {said}"
-        elif self.mode not in (Mode.GUIDED, Mode.HOLD, Mode.TAKE_OFF):
-            assert self.told_by_person, f"fought for the vehicle: {said}"
+        taken = before.phase is Phase.HOLDING and before.reason in TAKEN
+        ours = (Mode.GUIDED,) if taken else (Mode.GUIDED, Mode.HOLD, Mode.TAKE_OFF)
+        assert self.mode in ours or self.told_by_person, f"fought for the vehicle: {said}"
 
     def _setpoint(self, before: State, after: State, sent: Setpoint) -> None:
         self.setpoints += 1
@@ -238,48 +232,32 @@ class Watch:
         if self.setpoints % 7 == 0:
             told = self.autopilot.setpoint(sent, To(1, self.mission.frame), 80.0)
             assert told, "out of range"
-        at = sent.position_nea_m
-        assert self.position is not None
+        at, here, limits = sent.position_nea_m, self.position.position_nea_m, self.limits
         elsewhere = after.path is not None or after.task.zones  # a leg's start, or clear of a fence
         if sent.stay and self.circled is not None and not elsewhere:
-            self._comes_back(at, self.circled)
+            # a plane on a circle stays on it, or comes back to it: nobody has proven one beside it
+            here_m, apart_m = (math.dist(self.circled[:2], p[:2]) for p in (here, at))
+            is_near = here_m <= 2.0 * limits.loiter_radius_m
+            assert apart_m <= 0.5 or not is_near, f"led to a circle {apart_m:.0f} m beside its own"
         if not sent.stay:
             self._on_path(before, after, sent)
         elif now - self.streamed_at_s > 1.5 or self.not_guided_at_s > self.streamed_at_s:
-            apart_m = math.dist(at[:2], self.position.position_nea_m[:2])
-            assert apart_m <= self._near_m(), f"first led to a place {apart_m:.0f} m away"
+            led_m = limits.speed_m_s + 5.0
+            if not self.traits.hovers:
+                led_m = 1.3 * limits.speed_m_s * limits.lead_s + 2.0 * limits.loiter_radius_m
+            apart_m = math.dist(at[:2], here[:2]) - 3.0 * limits.tracking_error_m
+            assert apart_m <= led_m, f"first led to a place {apart_m:.0f} m away"
         self.streamed_at_s, self.last = now, sent
         led = self.mode is Mode.GUIDED and not self.traits.hovers
         self.circled = at if led and sent.stay else None
-
-    def _comes_back(self, at: events.Vector, circled: events.Vector) -> None:
-        """A plane on a circle stays on it, or comes back to it: nobody has proven one beside it."""
-        assert self.position is not None
-        here = self.position.position_nea_m
-        beside_m = 2.0 * self.limits.loiter_radius_m
-        apart_m = math.dist(at[:2], circled[:2])
-        if math.dist(here[:2], circled[:2]) <= beside_m:
-            assert apart_m <= 0.5, f"led to a circle {apart_m:.0f} m beside the one it was on"
 
     def _joining(self, state: State, order: int) -> float:
         """What a join adds to position (0) or velocity (1), and a rounding error."""
         offset = None if state.path is None else state.path.offset
         if offset is None:
             return 1e-6
-        return (
-            float(np.linalg.norm(offset.velocity_nea_m_s if order else offset.position_nea_m))
-            + 1e-6
-        )
-
-    def _near_m(self) -> float:
-        limits = self.limits
-        if self.traits.hovers:
-            return limits.speed_m_s + 3.0 * limits.tracking_error_m + 5.0
-        return (
-            1.3 * limits.speed_m_s * limits.lead_s
-            + 2.0 * limits.loiter_radius_m
-            + 3.0 * limits.tracking_error_m
-        )
+        aside = offset.velocity_nea_m_s if order else offset.position_nea_m
+        return float(np.linalg.norm(aside)) + 1e-6
 
     def _on_path(self, before: State, after: State, sent: Setpoint) -> None:
         """A setpoint that leads lies on a path that is proven, and the newest.
@@ -299,11 +277,13 @@ class Watch:
     def _legs(self, before: State, event: Event, after: State) -> None:
         flight = after.flight
         held = after.phase is Phase.HOLDING and before.phase is not Phase.HOLDING
-        old = isinstance(event, events.PlanReady) and event.outcome.plan_id != self.newest
+        old = isinstance(event, events.PlanReady) and (
+            event.outcome.plan_id != self.newest or self.orders != self.orders_when_asked
+        )
         if old and not held:
             same = map(operator.is_, _flown_by(after), _flown_by(before))
-            assert all(same), "took the answer to an old question"
-            assert flight.back is before.flight.back, "took the answer to an old question"
+            same = (*same, flight.back is before.flight.back, flight.way is before.flight.way)
+            assert all(same), "took the answer to an old question, or one from before an order"
         for leg in (*_flown_by(after), *flight.back):
             if leg is not None:
                 name = _name(leg.subpath)
@@ -313,7 +293,6 @@ class Watch:
         """No leg is planned from where the vehicle was sent to stay before it is there."""
         if after.path is not None or self.last is None or self.context.shadow:
             return
-        assert self.position is not None
         apart_m = math.dist(self.position.position_nea_m[:2], self.last.position_nea_m[:2])
         on_circle_m = self.limits.loiter_radius_m + self.limits.tracking_error_m
         near_m = 5.0 if self.traits.hovers else on_circle_m
@@ -340,7 +319,7 @@ class Watch:
             self.progress_at_s = now
         if isinstance(event, Position) and abs(event.velocity_nea_m_s[2]) > 0.1:
             self.progress_at_s = now
-        if any(isinstance(command, MOVING) for command in commands):
+        if moving(commands):
             self.spoke_at_s = now
         elif now - before.now_s > 0.5:  # no event, no word
             self.spoke_at_s = min(self.spoke_at_s + now - before.now_s, now)
@@ -394,14 +373,6 @@ class Watch:
             assert not self.lands, f"told to land, and sets out: {before.reason}"
             outward = after.phase is Phase.FLYING and target in self.goals
             assert not (self.returns and outward), "told to return, and flies to a target"
-        held = after.phase is Phase.HOLDING and before.phase is not Phase.HOLDING
-        old = isinstance(event, events.PlanReady) and self.orders != self.orders_when_asked
-        if old and not held:
-            same = map(operator.is_, _flown_by(before), _flown_by(after))
-            assert all(same), "a plan from before the order"
-            assert after.phase is not Phase.RETURNING or before.phase is Phase.RETURNING, (
-                "a way back from before the order"
-            )
         for command in commands:
             if isinstance(command, events.Plan):
                 self.orders_when_asked = self.orders

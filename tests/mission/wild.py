@@ -1,7 +1,9 @@
 """A vehicle, a planner, people and a link to which anything at all happens, over and over.
 
-A program is one random mission: which vehicle, which mission, what goes wrong and how often.  It
-goes through the mission machine event by event; `watch.Watch` sees every step.
+A program is one random mission: which vehicle, which mission, what goes wrong and how often.
+Vehicles lie, jump, freeze, reboot, fall silent or do not obey; people take over, give back, order
+and draw fences; plans are late, refused, not proven or old; companions die and start again.
+It goes through the mission machine event by event; `watch.Watch` sees every step.
 """
 
 import math
@@ -14,11 +16,11 @@ from renewed import replace
 from watch import Watch
 
 from companion.mavlink.autopilots import ALL, PX4_FIXED_WING
-from companion.mission import changes, checkpoint, events, machine
+from companion.mission import changes, events, machine
 from companion.mission.events import Command, Event, Item, Landed, Mode, OrderKind, Vector
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.phases import Phase
-from companion.planner.request import Backtrack, Planned, PlanOutcome, PlanRequest
+from companion.planner.request import Planned, PlanOutcome, PlanRequest
 from companion.world.zones import CircleZone, PolygonZone, Zone
 
 _TARGETS = ((400.0, 300.0), (-500.0, 200.0), (-300.0, -600.0))
@@ -30,23 +32,10 @@ _TROUBLES = (
     *("deaf", "weak", "drift", "echo", "no echo", "drain", "failsafe"),
 )
 _CHANCES = {
-    "something_wrong": 10.0,
-    "order": 8.0,
-    "garbage": 6.0,
-    "fence": 4.0,
-    "old_plan": 4.0,
-    "mode": 2.0,
-    "give_back": 2.0,
-    "late_clock": 2.0,
-    "restart": 2.0,
-    "silence": 1.5,
-    "targets": 1.5,
-    "namesake": 1.0,
-    "teleport": 0.7,
-    "reboot": 0.6,
-    "death": 0.5,
-    "stop": 0.3,
-}
+    "something_wrong": 10.0, "order": 8.0, "garbage": 6.0, "fence": 4.0, "old_plan": 4.0,
+    "mode": 2.0, "give_back": 2.0, "late_clock": 2.0, "restart": 2.0, "silence": 1.5,
+    "targets": 1.5, "namesake": 1.0, "teleport": 0.7, "reboot": 0.6, "death": 0.5, "stop": 0.3,
+}  # fmt: skip
 """What happens to a program, `_name`, and how often beside the others."""
 _SHARES = np.array([*_CHANCES.values()]) / sum(_CHANCES.values())
 _ORDERS_1_S = 0.1
@@ -206,8 +195,11 @@ class Wild(Craft):
         self.will_say(ready, due_s + late_s)
 
     def answer(self, request: PlanRequest) -> PlanOutcome:
-        if request.flown is not None:
-            return self._way_back(request)
+        if request.flown is not None:  # perhaps half of it
+            back = retraced(request)
+            count = len(back.subpaths) // (2 if self.happens(0.2 + 0.5 * self.bad_plans) else 1)
+            through = tuple(self.happens(0.5) for _ in range(count))
+            return replace(back, subpaths=back.subpaths[:count], through=through)
         if not self.happens(self.bad_plans):
             return self._towards(request)
         if self.happens(0.5):
@@ -220,13 +212,6 @@ class Wild(Craft):
         height_m = float(request.start.position_nea_m[2])
         climbs_to_m = height_m + float(self.rng.uniform(-3, 3))
         return planned(request, SHORT_LEG_M, min(max(climbs_to_m, low_m), high_m) - height_m)
-
-    def _way_back(self, request: PlanRequest) -> Backtrack:
-        """Perhaps half of it."""
-        back = retraced(request)
-        count = len(back.subpaths) // (2 if self.happens(0.2 + 0.5 * self.bad_plans) else 1)
-        through = tuple(self.happens(0.5) for _ in range(count))
-        return replace(back, subpaths=back.subpaths[:count], through=through)
 
     # --- what happens
 
@@ -262,26 +247,23 @@ class Wild(Craft):
         early_s, armed = self.drawn((0.0, 0.2, 0.6, 3.0)), self.happens(0.8)
         error_m, home = float(rng.uniform(0, 9)), (0.0, 0.0, float(rng.uniform(2900, 3040)))
         good, answered = self.happens(0.5), self.drawn(range(10))
-        self.hear(
-            self.drawn(
-                [
-                    events.LandedState(time_s=now, landed=self.drawn([*Landed])),
-                    events.VehicleStatus(time_s=now, mode=self.drawn([*Mode]), armed=armed),
-                    position(now - early_s, far, moves),
-                    position(now - early_s, here, far),
-                    events.GpsFix(time_s=now, good=False),
-                    events.Estimator(time_s=now, good=good, error_m=error_m),
-                    events.Home(time_s=now, position_nea_m=home),
-                    events.Origin(time_s=now, position_nea_m=far),
-                    events.Echo(time_s=now, position_nea_m=far),
-                    events.Battery(time_s=now, remaining=float(rng.random())),
-                    events.Prepared(time_s=now, item=Item.PLANS, refusal="made up"),
-                    events.PlanLate(time_s=now, plan_id=self.drawn(range(9))),
-                    scan_done(now, answered=answered, asked=9),
-                    events.VehicleFound(time_s=now, system_id=1, traits=self.traits, name="again"),
-                ]
-            )
-        )
+        said = [
+            events.LandedState(time_s=now, landed=self.drawn([*Landed])),
+            events.VehicleStatus(time_s=now, mode=self.drawn([*Mode]), armed=armed),
+            position(now - early_s, far, moves),
+            position(now - early_s, here, far),
+            events.GpsFix(time_s=now, good=False),
+            events.Estimator(time_s=now, good=good, error_m=error_m),
+            events.Home(time_s=now, position_nea_m=home),
+            events.Origin(time_s=now, position_nea_m=far),
+            events.Echo(time_s=now, position_nea_m=far),
+            events.Battery(time_s=now, remaining=float(rng.random())),
+            events.Prepared(time_s=now, item=Item.PLANS, refusal="made up"),
+            events.PlanLate(time_s=now, plan_id=self.drawn(range(9))),
+            scan_done(now, answered=answered, asked=9),
+            events.VehicleFound(time_s=now, system_id=1, traits=self.traits, name="again"),
+        ]
+        self.hear(self.drawn(said))
 
     def _old_plan(self) -> None:
         if self.old:
@@ -329,11 +311,7 @@ class Wild(Craft):
             return
         torn = self.happens(0.2)
         self.watch.restarted(self.now_s, forgotten=torn)
-        if torn:
-            number, now_s = self.state.flight.plan_id, self.now_s
-            self.resumes(checkpoint.without_checkpoint("torn", time_s=now_s, plan_id=number))
-        else:
-            self.restart()
+        self.restart(torn=torn)
 
     def _namesake(self) -> None:
         """Somebody with our ids, for certain or perhaps."""
