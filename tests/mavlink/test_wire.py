@@ -290,7 +290,6 @@ TOLD = [
     (PX4_MULTICOPTER, 0x04040000, "Mission", Mode.OTHER),
     (PX4_MULTICOPTER, 0x09040000, "Precision Land", Mode.LAND),
     (PX4_FIXED_WING, 0, "mode 0.0", Mode.OTHER),
-    (PX4_FIXED_WING, 0xFFFFFFFF, "mode 255.0", Mode.OTHER),
 ]
 
 
