@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Literal
 
+import harness
 from recordings import recording
 from tlog import recorded_frames
 
@@ -11,7 +12,7 @@ from companion.mavlink.frames import IGNORED_MESSAGES, Receiver
 from vehicle_sim.plans import PlanItem as Stored
 from vehicle_sim.plans import PlanKind
 from vehicle_sim.simulation import Simulation
-from vehicle_sim.world import World, flat_world
+from vehicle_sim.world import parse_world
 
 Firmware = Literal["ardupilot", "px4"]
 Kind = Literal["copter", "plane"]
@@ -23,24 +24,7 @@ FOUR: tuple[tuple[Firmware, Kind], ...] = (
 )
 MISSIONS = ("sitl-arducopter", "sitl-arduplane", "sitl-px4", "sitl-px4-plane")
 """Bundled ones, for each of the four."""
-HOME_DEG, HOME_M = (47.397742, 8.545594), 488.0
-
-
-def level(
-    firmware: Firmware,
-    kind: Kind = "copter",
-    home: tuple[float, float, float] = (*HOME_DEG, HOME_M),
-) -> World:
-    """Level ground about a home; degrees and metres AMSL."""
-    latitude, longitude, altitude_m = home
-    return flat_world(
-        kind,
-        firmware,
-        latitude_deg=latitude,
-        longitude_deg=longitude,
-        altitude_amsl_m=altitude_m,
-        heading_deg=0.0,
-    )
+HOME_DEG, HOME_M = harness.PLACE[:2], harness.PLACE[2]
 
 
 class Held:
@@ -54,9 +38,12 @@ class Held:
         firmware: Firmware,
         kind: Kind = "copter",
         faults: str = "",
-        world: World | None = None,
+        home: harness.Vector = harness.PLACE,
+        **parameters: Any,
     ) -> None:
-        self.simulation = Simulation(world or level(firmware, kind), seed=1, faults=faults)
+        """home: degrees and metres AMSL."""
+        world = harness.world(firmware, kind, home, **parameters)
+        self.simulation = Simulation(parse_world(world), seed=1, faults=faults)
         self.sent: list[tuple[float, Any]] = []
         self.heard: list[Any] = []
         """What the client has heard."""
@@ -107,15 +94,8 @@ class Held:
 
 
 def stored(command: int, value: float, north_m: float, east_m: float, z_m: float = 0.0) -> Stored:
-    """An item of a list, its first parameter, and a place about home, nearly."""
-    return Stored(
-        frame=3,
-        command=command,
-        parameters=(value, 0.0, 0.0, 0.0),
-        x=round((HOME_DEG[0] + north_m / 111_200.0) * 1e7),
-        y=round((HOME_DEG[1] + east_m / 75_300.0) * 1e7),
-        z_m=z_m,
-    )
+    """An item of a list, its first parameter, and a place about home."""
+    return harness.item(HOME_DEG, command, north_m, east_m, z_m, value)
 
 
 def placed(items: Iterable[Any]) -> list[tuple[int, float, int, int]]:

@@ -8,15 +8,12 @@ from held import FOUR, MISSIONS, Held, placed, polygon, stored, waypoints
 from wires import assert_told, heard, over_the_wire
 
 from companion.config import load_mission
-from companion.mavlink import autopilots
 from companion.mavlink.autopilot_client import AutopilotClient
 from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_MULTICOPTER, px4
-from companion.mavlink.autopilots.common import Modes
 from companion.mavlink.dialect import EventMessage, codec, wire
 from companion.mavlink.frames import Receiver
 from companion.mavlink.parameter_client import ANSWER_S
 from companion.mavlink.plan_client import FENCE, MISSION, RALLY
-from companion.mavlink.rules import Rule, brakes
 from companion.mission import checkpoint, events
 from companion.mission.decisions import Context
 from companion.mission.events import FenceChanged, FenceReading, Item
@@ -309,31 +306,3 @@ def test_how_the_vehicles_own_mission_ends_is_not_passed_over_in_silence() -> No
     it.draw(MISSION, *waypoints(3), stored(20, 0.0, 0.0, 0.0))
     said = it.until_prepared().side.notes
     assert said == ["its mission ends with return; what counts is end.action: land"]
-
-
-FIFTH = replace(
-    PX4_MULTICOPTER,
-    firmware=replace(px4.FIRMWARE, name="fifth", number=wire.MAV_AUTOPILOT_SMACCMPILOT),
-    traits=replace(PX4_MULTICOPTER.traits, name="Fifth"),
-    rules=(Rule("FIFTH_RATE", brakes, "how it brakes"),),
-    modes=Modes(asked={events.Mode.GUIDED: (77,)}, names={(77,): "LED"}),
-    streams_hz={wire.MAVLINK_MSG_ID_ALTITUDE: 5.0},
-    decoders={
-        wire.MAVLINK_MSG_ID_ALTITUDE: lambda _, now_s, *__: events.Battery(
-            time_s=now_s, remaining=0.5
-        )
-    },
-)
-
-
-def test_a_fifth_autopilot_is_one_value(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(autopilots, "ALL", (*ALL, FIFTH))
-    beat = heard("HEARTBEAT", type=2, autopilot=FIFTH.firmware.number, custom_mode=77)
-    side: Any = AutopilotClient.of(beat, context(autopilot=None))
-    assert side.autopilot is FIFTH is autopilots.named("fifth", "copter")
-    assert side.event_of(beat, 1.0).mode is events.Mode.GUIDED
-    altitude = heard("ALTITUDE")
-    assert side.event_of(altitude, 2.0) == events.Battery(time_s=2.0, remaining=0.5)
-    assert side.parameters.waiting == ("FIFTH_RATE",)
-    asked = [over_the_wire(message).param1 for message in side.streams.begin(0.0)]
-    assert wire.MAVLINK_MSG_ID_ALTITUDE in asked

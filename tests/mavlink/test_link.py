@@ -86,8 +86,6 @@ READ = ClockReading
         ((1060.0, 1060.0), READ.DOUBTED),  # copies of one frame, or messages of one moment
         ((1060.0, 5.0), READ.DOUBTED),
         ((1060.0, 1060.1), READ.LATER),  # two agree: so it is
-        ((5.0, 60.1), READ.LATER),
-        ((5.0, 5.0), READ.DOUBTED),
         ((5.0, 5.1), READ.REBOOTED),
         ((61.9,), READ.LATER),
     ],

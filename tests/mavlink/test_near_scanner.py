@@ -23,7 +23,7 @@ from companion.mission.state import State
 from companion.world.known_map import Lattice
 from companion.world.near_map import NearMap, NearSensor, Sight
 
-MISSION = load_mission("forest")
+MISSION: Any = load_mission("forest")
 THING_M = 5.0
 """There is one of 10 degrees width in the north; beyond it nothing is seen."""
 GROUND_AMSL_M, CEILING_AMSL_M, RANGE_M = 400.5, 408.0, 16.0
@@ -40,7 +40,6 @@ class Standing:
     """A scanner on a vehicle that stands still, at 10 Hz, and the map of its mission."""
 
     def __init__(self) -> None:
-        assert MISSION.known is not None
         self.poses, self.state = Poses(MISSION.frame), State.of(MISSION, MISSION.known)
         self.scanner = NearScanner(MISSION, self.poses)
         self.now_s, self.here_nea_m = 100.0, (20.0, 20.0, 405.0)
@@ -64,8 +63,7 @@ class Standing:
         """One sweep is enough; takes: the mission puts it on its map."""
         self.scanner.begin(self.here_nea_m, self.state, self.now_s)
         self.run()
-        done = self.scanner.go_on(self.now_s, self.here_nea_m)
-        assert done is not None
+        done: Any = self.scanner.go_on(self.now_s, self.here_nea_m)
         assert done.answered == 1
         if takes:
             known = self.state.flight.known.with_scan(done.scan)
@@ -116,8 +114,6 @@ def test_a_scan_waits_for_a_new_sweep_and_no_longer_than_it_may_and_changes_noth
 
 
 def test_a_healthy_sensor_of_the_autopilot_that_sees_nothing_has_answered() -> None:
-    assert MISSION.near is not None
-    assert MISSION.known is not None
     of = replace(MISSION, near=replace(MISSION.near, kind="distance_sensor", component_id=1))
     scanner = NearScanner(of, Poses(of.frame))
     for now_s, well, sight in ((100.0, 1, Sight.NOTHING_THERE), (105.0, 0, Sight.NEVER_HEARD)):

@@ -58,11 +58,6 @@ def verdicts(findings: dict[str, Finding]) -> dict[str, str]:
     return {name: REFUSE if each.set_to is None else SET for name, each in findings.items()}
 
 
-@ALL_FOUR
-def test_defaults_are_safe_but_for_what_was_measured(way: Way) -> None:
-    assert verdicts(found(way, DEFAULTS[way])) == ({SINKS: SET} if way[0] == "px4" else {})
-
-
 @pytest.mark.parametrize("name", bundled())
 def test_the_bundled_missions_fit_the_vehicles_that_fly_them(name: str) -> None:
     file = resources.files("companion") / "environments" / name / "world.toml"
@@ -159,7 +154,6 @@ def row(way: Way, name: str, *cases: tuple[float, Any], **of: Any) -> list[Any]:
         *row(COPTER, "PRX1_TYPE", *((k, REFUSE) for k in (0, 2, 4, 10)), near=LIDAR),
         *(row(COPTER, "PRX1_TYPE", (2, None), near=near)[0] for near in (None, ELSEWHERE)),
         *row(COPTER, "PRX1_IGN_WID1", (0.0, None), (20.0, REFUSE), near=LIDAR),
-        *row(COPTER, "PRX1_IGN_WID4", (0.0, None), (20.0, REFUSE), near=LIDAR),
     ],
 )
 def test_one_value(way: Way, name: str, value: float, said: Any, of: dict[str, Any]) -> None:

@@ -71,36 +71,33 @@ def answers(request: Any, heights: tuple[int, ...] = (500,) * 16) -> list[Any]:
     return [*blocks, report(request)]
 
 
-def download(
-    centre: tuple[float, ...] = CORNER, range_m: float = 2000.0, known: KnownMap = MAP
-) -> TerrainRadar:
-    settings = replace(MISSION.task.settings, scan_range_m=range_m, scan_time_s=DEADLINE_S)
-    to_the_north = ((centre[0] + 1e5, centre[1]),)
-    task = replace(MISSION.task, settings=settings)
-    mission = replace(MISSION, task=task, targets_ne_m=to_the_north)
-    radar = TerrainRadar(mission)
-    radar.begin((*centre[:2], 0.0), State.of(mission, known), 0.0)
-    return radar
+class Download:
+    """A scan about a place, looked at when the test says so."""
 
+    def __init__(
+        self, centre: tuple[float, ...] = CORNER, range_m: float = 2000.0, known: KnownMap = MAP
+    ) -> None:
+        settings = replace(MISSION.task.settings, scan_range_m=range_m, scan_time_s=DEADLINE_S)
+        task, to_the_north = replace(MISSION.task, settings=settings), (centre[0] + 1e5, centre[1])
+        mission = replace(MISSION, task=task, targets_ne_m=(to_the_north,))
+        self.radar, self.done = TerrainRadar(mission), list[ScanDone]()
+        self.radar.begin((*centre[:2], 0.0), State.of(mission, known), 0.0)
 
-def asks(radar: Any, now_s: float, place: Any = HERE) -> Any:
-    """What it asks for now; of a scan that is over, nothing, and it is not asked again."""
-    if isinstance(told := getattr(radar, "told", None), ScanDone):
-        return None
-    radar.told = told = radar.go_on(now_s, place)
-    return None if isinstance(told, ScanDone) else told
+    def asks(self, now_s: float, place: Any = HERE) -> Any:
+        """What it asks for now; of a scan that is over, nothing, and it is not asked again."""
+        told = None if self.done else self.radar.go_on(now_s, place)
+        if isinstance(told, ScanDone):
+            self.done.append(told)
+        return None if self.done else told
 
+    def is_over(self, now_s: float) -> bool:
+        self.asks(now_s)
+        return bool(self.done)
 
-def is_over(radar: Any, now_s: float) -> bool:
-    asks(radar, now_s)
-    return isinstance(radar.told, ScanDone)
-
-
-def scan_of(radar: Any) -> Scan:
-    """What it says of it in the end."""
-    assert is_over(radar, DEADLINE_S)
-    scan: Scan = radar.told.scan
-    return scan
+    def scan(self) -> Scan:
+        """What it says of it in the end."""
+        assert self.is_over(DEADLINE_S)
+        return self.done[0].scan
 
 
 def on_map(scan: Scan) -> Any:
@@ -120,30 +117,30 @@ NORTH_M, EAST_M = np.broadcast_arrays(*MAP.middles_m())
 
 def test_one_request_is_outstanding_until_its_report_or_its_answers_stop() -> None:
     """For a second before the first answer, and for 0.4 s after one."""
-    task = download(range_m=10_000.0)
-    first = asks(task, 0.0)
-    assert asks(task, 0.9) is None
+    task = Download(range_m=10_000.0)
+    first = task.asks(0.0)
+    assert task.asks(0.9) is None
     *blocks, over = answers(first)
     for message in (*blocks, report(first, pending=3)):
-        task.on_message(message, 0.96)
-        assert asks(task, 0.96) is None
-    task.on_message(over, 0.97)
-    second = asks(task, 0.97)
+        task.radar.on_message(message, 0.96)
+        assert task.asks(0.96) is None
+    task.radar.on_message(over, 0.97)
+    second = task.asks(0.97)
     for at_s, message in zip((1.0, 1.3), answers(second), strict=False):
-        task.on_message(message, at_s)
-        assert asks(task, at_s) is None
-    assert asks(task, 1.6) is None
-    third = asks(task, 1.75)
+        task.radar.on_message(message, at_s)
+        assert task.asks(at_s) is None
+    assert task.asks(1.6) is None
+    third = task.asks(1.75)
     assert len({(each.lat, each.lon) for each in (first, second, third)}) == 3
-    silent = download(range_m=6000.0)
-    asked = [asks(silent, tick / 10) for tick in range(40)]
+    silent = Download(range_m=6000.0)
+    asked = [silent.asks(tick / 10) for tick in range(40)]
     assert sum(request is not None for request in asked) == 4
-    assert [is_over(silent, at_s) for at_s in (DEADLINE_S - 0.1, DEADLINE_S)] == [False, True]
-    assert (silent.answered, told(scan_of(silent))) == (0, set())
-    alone = download(range_m=1000.0)
-    again = [request for tick in range(35) if (request := asks(alone, tick / 10)) is not None]
+    assert [silent.is_over(at_s) for at_s in (DEADLINE_S - 0.1, DEADLINE_S)] == [False, True]
+    assert (silent.radar.answered, told(silent.scan())) == (0, set())
+    alone = Download(range_m=1000.0)
+    again = [request for tick in range(35) if (request := alone.asks(tick / 10)) is not None]
     assert (len(again), {each.mask for each in again}) == (3, {again[0].mask})
-    assert is_over(alone, 3.4)
+    assert alone.is_over(3.4)
 
 
 def spoilt(request: Any, bit: int) -> list[Any]:
@@ -164,9 +161,9 @@ def test_each_cell_within_range_gets_its_height_or_if_that_is_lost_or_spoilt_it_
     centre: tuple[float, float], range_m: float, told_share: float, rng: Any
 ) -> None:
     """What is lost is asked for twice more, alone; what is known is not asked for again."""
-    task, asked, told = download(centre, range_m), Counter[Any](), set[Any]()
+    task, asked, told = Download(centre, range_m), Counter[Any](), set[Any]()
     for tick in range(40):
-        if (request := asks(task, tick / 10)) is None:
+        if (request := task.asks(tick / 10)) is None:
             continue
         for bit in bits(request.mask):
             place = request.lat, request.lon, bit
@@ -178,12 +175,12 @@ def test_each_cell_within_range_gets_its_height_or_if_that_is_lost_or_spoilt_it_
                 again = block(request, bit, [9] * 16)
                 messages += [block(request, bit, true_heights(request, bit)), again]
             for message in messages:
-                task.on_message(message, tick / 10)
-        task.on_message(report(request), tick / 10)
-    assert (task.answered, task.asked) == (len(told), len(asked))
+                task.radar.on_message(message, tick / 10)
+        task.radar.on_message(report(request), tick / 10)
+    assert (task.radar.answered, task.radar.asked) == (len(told), len(asked))
     assert {place for place, times in asked.items() if times == 3} >= asked.keys() - told
     assert max(asked.values()) <= 3
-    scan = scan_of(task)
+    scan = task.scan()
     heights_m, known = on_map(scan), MAP.with_scan(scan)
     seen = ~np.isnan(heights_m)
     slack_m = 0.6 + scan.registration_m * math.hypot(0.1, 0.013)
@@ -194,18 +191,18 @@ def test_each_cell_within_range_gets_its_height_or_if_that_is_lost_or_spoilt_it_
     if told_share == 1.0:
         assert seen[np.hypot(NORTH_M - centre[0], EAST_M - centre[1]) <= range_m].all()
         assert list(areas(known, centre, range_m - 2 * CELL_M, FRAME)) == []
-        again = download(centre, range_m, known)
-        assert (again.asked, is_over(again, 0.0)) == (0, True)
+        again = Download(centre, range_m, known)
+        assert (again.radar.asked, again.is_over(0.0)) == (0, True)
 
 
 def test_heights_are_kept_with_the_place_of_the_radar_and_minus_32768_is_not_seen() -> None:
-    task, said = download(), (-32768, -32767, -1, 0, 1, 32767, *(5,) * 10)
-    first, *others = answers(asks(task, 0.0), said)
+    task, said = Download(), (-32768, -32767, -1, 0, 1, 32767, *(5,) * 10)
+    first, *others = answers(task.asks(0.0), said)
     for at_s, place, messages in ((0.1, (1.0, 2.0, 3.0), [first]), (0.2, HERE, others)):
-        assert asks(task, at_s, place) is None
+        assert task.asks(at_s, place) is None
         for message in messages:
-            task.on_message(message, at_s)
-    scan = scan_of(task)
+            task.radar.on_message(message, at_s)
+    scan = task.scan()
     places = {tuple(radar) for radar in scan.radar_nea_m[~np.isnan(scan.heights_m)]}
     assert places == {(1.0, 2.0, 3.0), HERE}
     assert told(scan) == {NOT_SEEN, *said[1:]}

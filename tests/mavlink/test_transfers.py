@@ -34,23 +34,6 @@ def asked(messages: list[Any]) -> list[tuple[str, Any]]:
     return [(m.get_type(), getattr(m, fields.get(m.get_type(), "seq"), None)) for m in messages]
 
 
-RECORDED = {
-    "px4-offboard-8mps": {"COM_OBL_RC_ACT": 5.0, "CAL_ACC0_ROT": -1.0, "CAL_BARO0_ID": 6620172.0},
-    "px4-offboard-short": {"SYS_AUTOSTART": 10040.0, "COM_OBL_RC_ACT": 5.0},
-    "px4-fixedwing-offboard": {"FW_AIRSPD_TRIM": 15.0, "NAV_LOITER_RAD": 80.0},
-    "arducopter-guided-10mps": {"ANGLE_MAX": 4500.0, "COMPASS_DEV_ID": 97539.0},
-}
-
-
-@pytest.mark.parametrize("log", RECORDED)
-def test_reads_the_values_of_recorded_flights(log: str) -> None:
-    names = [(name,) for name in RECORDED[log]]
-    client = ParameterClient(1, names, bytewise=log.startswith("px4"))
-    for at_s, message in recorded(f"{log}.tlog"):
-        client.on_message(message, at_s)
-    assert client.values == RECORDED[log]
-
-
 WHOLE = {1: (0, 255), 2: (-128, 127), 3: (0, 65535), 4: (-(2**15), 2**15 - 1)}
 WHOLE |= {5: (0, 2**32 - 1), 6: (-(2**31), 2**31 - 1)}
 

@@ -72,6 +72,7 @@ def test_the_scan_distance_keeps_equation_4_and_the_tail_holds_a_stop(task: Task
         assert task.search_clearance_m >= task.required_clearance_m >= d_s
         assert 3_000.0 + error <= task.band_amsl_m[0]
         assert task.band_amsl_m[1] <= 5_000.0 - error
+        assert task.band_amsl_m[0] <= task.take_off_amsl_m < task.band_amsl_m[1]
 
 
 @given(

@@ -113,17 +113,9 @@ class Vehicle:
     def position(self) -> bytes:
         azimuth = math.degrees(math.atan2(self.east_m, self.north_m))
         longitude, latitude, _ = GEOD.fwd(8.0, 47.0, azimuth, math.hypot(self.north_m, self.east_m))
-        return self.pack(
-            wire.MAVLink_global_position_int_message(
-                self.time_ms,
-                round(latitude * 1e7),
-                round(longitude * 1e7),
-                round(self.altitude_m * 1e3),
-                0,
-                *(round(100.0 * speed) for speed in self.velocity_ned),
-                0,
-            )
-        )
+        place = round(latitude * 1e7), round(longitude * 1e7), round(self.altitude_m * 1e3), 0
+        speeds = (round(100.0 * speed) for speed in self.velocity_ned)
+        return self.pack(wire.MAVLink_global_position_int_message(self.time_ms, *place, *speeds, 0))
 
     def telemetry(self, message_id: int) -> bytes:
         if message_id == wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
@@ -143,20 +135,11 @@ class Vehicle:
         return self.pack(says[message_id]()) if message_id in says else b""
 
     def scanned(self, request: Any) -> list[bytes]:
-        blocks = [
-            self.pack(
-                wire.MAVLink_terrain_data_message(
-                    request.lat, request.lon, request.grid_spacing, bit, [500] * 16
-                ),
-                self.radar,
-            )
-            for bit in range(56)
-            if request.mask >> bit & 1
-        ]
-        report = wire.MAVLink_terrain_report_message(
-            request.lat, request.lon, request.grid_spacing, 0.0, 0.0, 0, len(blocks)
-        )
-        return [*blocks, self.pack(report, self.radar)]
+        area = request.lat, request.lon, request.grid_spacing
+        bits = [bit for bit in range(56) if request.mask >> bit & 1]
+        blocks = [wire.MAVLink_terrain_data_message(*area, bit, [500] * 16) for bit in bits]
+        report = wire.MAVLink_terrain_report_message(*area, 0.0, 0.0, 0, len(blocks))
+        return [self.pack(each, self.radar) for each in (*blocks, report)]
 
     # --- what it hears
 
@@ -178,9 +161,8 @@ class Vehicle:
                     count = wire.MAVLink_mission_count_message(*to, 0, message.mission_type)
                     self.to_answer.append(self.pack(count))
                 case "SET_POSITION_TARGET_GLOBAL_INT" if self.mode == GUIDED:
-                    azimuth, _, distance = GEOD.inv(
-                        8.0, 47.0, message.lon_int * 1e-7, message.lat_int * 1e-7
-                    )
+                    place = message.lon_int * 1e-7, message.lat_int * 1e-7
+                    azimuth, _, distance = GEOD.inv(8.0, 47.0, *place)
                     self.north_m = distance * math.cos(math.radians(azimuth))
                     self.east_m = distance * math.sin(math.radians(azimuth))
                     self.altitude_m, self.ticks_alone = message.alt, 0

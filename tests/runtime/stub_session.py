@@ -5,10 +5,10 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 from planning import BLANK, TASK, ask
-from pymavlink.dialects.v20 import all as wire
+from wires import Speaker, wire
 
 from companion.config import load_mission
 from companion.mavlink.link import Output
@@ -17,21 +17,13 @@ from companion.planner.request import PlanRequest
 from companion.runtime.link import Link
 
 PATIENCE_S, PERIOD_S = 20.0, 0.02
-CODEC = wire.MAVLink(None, srcSystem=1, srcComponent=195)
-
-
-def packed(message: Any) -> bytes:
-    frame: bytes = message.pack(CODEC)
-    CODEC.seq = (CODEC.seq + 1) % 256
-    return frame
+NOWHERE = SimpleNamespace(position_nea_m=None)
+packed = Speaker(srcComponent=195).frame
 
 
 def setpoint(at_s: float = 0.0) -> bytes:
-    return packed(
-        wire.MAVLink_set_position_target_global_int_message(
-            round(at_s * 1000), 1, 1, 5, 2496, 470000000, 80000000, 500.0, *[1.0] * 8
-        )
-    )
+    made, place = wire.MAVLink_set_position_target_global_int_message, (470000000, 80000000, 500.0)
+    return packed(made(round(at_s * 1000), 1, 1, 5, 2496, *place, *[1.0] * 8))
 
 
 def heartbeat() -> bytes:
@@ -64,11 +56,7 @@ class StubSession:
     end: End | None = None
     has_left: bool = False
     mission: Any = field(default_factory=lambda: load_mission("valley"))
-    state: Any = field(
-        default_factory=lambda: SimpleNamespace(
-            vehicle=SimpleNamespace(position_nea_m=None), flight=SimpleNamespace(target=0)
-        )
-    )
+    state: ClassVar[Any] = SimpleNamespace(vehicle=NOWHERE, flight=SimpleNamespace(target=0))
 
     def receive(self, data: bytes, _at_s: float) -> bool:
         """Whether it is the vehicle's."""

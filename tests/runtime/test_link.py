@@ -23,10 +23,8 @@ MEANT: dict[str, tuple[str, str, int]] = {
     "tcp:[fe80::1]:14540": ("tcp", "fe80::1", 14540),
     "/dev/ttyACM0": ("serial", "/dev/ttyACM0", 57600),
     "/dev/ttyAMA0,921600": ("serial", "/dev/ttyAMA0", 921600),
-    "/dev/ttyACM0:57600": ("serial", "/dev/ttyACM0", 57600),
     "serial:/dev/ttyUSB0": ("serial", "/dev/ttyUSB0", 57600),
     "serial:///dev/ttyUSB0:921600": ("serial", "/dev/ttyUSB0", 921600),
-    "serial:/dev/ttyUSB0,115200": ("serial", "/dev/ttyUSB0", 115200),
     f"{BY_PATH},115200": ("serial", BY_PATH, 115200),
     f"serial:{BY_PATH}": ("serial", BY_PATH, 57600),
 }

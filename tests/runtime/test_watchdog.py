@@ -6,15 +6,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from harness import setpoint
 from pymavlink.dialects.v20 import all as wire
 from stub_session import HEARTBEAT, HOLD, SETPOINT, SpeakingLink, packed
 
 from companion.runtime.link import is_setpoint
 from companion.runtime.watchdog import IDLE_STALL_S, STALL_S, Failure, Gate, Watchdog
-
-LOCAL = wire.MAVLink_set_position_target_local_ned_message(
-    0, 1, 1, 1, 2496, 1.0, 2.0, -3.0, *[0.0] * 8
-)
 
 
 def command_int(command: int, *parameters: float) -> bytes:
@@ -24,7 +21,7 @@ def command_int(command: int, *parameters: float) -> bytes:
 
 
 def test_setpoints_are_told_from_everything_else() -> None:
-    leads = [SETPOINT, packed(LOCAL), command_int(192), command_int(192, -1.0)]
+    leads = [SETPOINT, packed(setpoint((1.0, 2.0, -3.0))), command_int(192), command_int(192, -1.0)]
     other = [HEARTBEAT, HOLD, SETPOINT[:9], command_int(176, 1.0), command_int(192, -1.0, 1.0)]
     assert [is_setpoint(frame) for frame in leads + other] == [True] * 4 + [False] * 5
 
@@ -73,40 +70,32 @@ def test_a_link_that_is_stuck_in_the_middle_of_a_frame_does_not_keep_the_hold_ba
     thread.join()
 
 
-@pytest.mark.parametrize("dies", [False, True])
-def test_the_hold_is_sent_once_in_full_for_a_death_and_not_for_an_end(dies: bool) -> None:
-    """Of three times, as a link may fail."""
-    fails, ended = [OSError("made up")], threading.Event()
+@pytest.mark.parametrize(("says", "fails"), [(lambda why: [why.encode()], 0), (None, 1)])
+def test_of_a_death_and_no_end_the_hold_is_sent_three_times_and_what_died_is_said_once(
+    says: Any, fails: int
+) -> None:
+    """Of a session that cannot even say so, too; and on if the link fails the first time."""
 
     class Failing(SpeakingLink):
         def send(self, frames: list[bytes]) -> None:
-            if fails:
-                raise fails.pop()
+            if rig.signings <= fails:
+                raise OSError("made up")
             super().send(frames)
 
-    rig = Rig(Failing())
-    if dies:
-        rig.watchdog.died("OSError: made up")
+    rig, ended = Rig(Failing()), threading.Event()
+    rig.watchdog._session.final_text = says  # type: ignore[method-assign]
     ended.set()
+    rig.watchdog.watch(ended)
+    assert (rig.watchdog.failure, rig.signings, rig.gate.is_shut) == (None, 0, False)
+    rig.watchdog.died("x")
     for _ in range(2):
         rig.watchdog.watch(ended)
-    died = Failure(part="decider", error="OSError: made up")
-    assert rig.failures == ([(died, [HOLD])] if dies else [])
-    assert rig.watchdog.failure == (died if dies else None)
-    assert rig.frames() == [HOLD] * 2 * dies
-    assert rig.signings == 3 * dies  # a signature that was sent before would be refused
-    assert rig.gate.is_shut is dies
-
-
-def test_that_the_decider_has_died_is_said_once_with_the_first_hold() -> None:
-    """A session that cannot even say so is put on hold all the same."""
-    for says, words in ((lambda why: [why.encode()], [b"the decider has died (x)"]), (None, [])):
-        rig, ended = Rig(), threading.Event()
-        rig.watchdog._session.final_text = says  # type: ignore[assignment, method-assign]
-        rig.watchdog.died("x")
-        ended.set()
-        rig.watchdog.watch(ended)
-        assert rig.frames() == [HOLD, *words, HOLD, HOLD]
+    told = [HOLD, b"the decider has died (x)"] if says else [HOLD]
+    assert rig.failures == [(Failure(part="decider", error="x"), told)]
+    assert rig.failures[0][0] == rig.watchdog.failure
+    assert rig.frames() == [*told * (1 - fails), HOLD, HOLD]
+    assert rig.signings == 3  # a signature that was sent before would be refused
+    assert rig.gate.is_shut
 
 
 def test_a_computer_that_was_asleep_for_a_minute_has_lost_nobody() -> None:

@@ -13,13 +13,10 @@ import rasterio
 from numpy.typing import NDArray
 from rasterio.transform import Affine
 
-import companion
 from companion.config import load_mission, load_world, mission_text, world_table
 from companion.errors import InputError
 from companion.mission.mission import Mission
 from companion.sources.files import toml_text
-
-ENVIRONMENTS = Path(companion.__file__).parent / "environments"
 
 RING = [[8.0, 47.0], [8.1, 47.0], [8.1, 47.2], [8.0, 47.0]]
 HOLE = [[8.04, 47.02], [8.08, 47.02], [8.08, 47.1], [8.04, 47.02]]
@@ -72,14 +69,13 @@ def waypoint(
     return item(16, 0, 0, 0, None, 47.0 + north_deg, 8.0, altitude_m, frame=frame, **more)
 
 
-def plan(*items: Any, **mission: Any) -> dict[str, Any]:
+def plan(*items: Any) -> dict[str, Any]:
     """A plan of a copter without zones."""
-    launch = [47.0, 8.0, 400]
-    usual = {"version": 2, "vehicleType": 2, "plannedHomePosition": launch, "items": list(items)}
-    usual["hoverSpeed"] = 5
+    mission = {"version": 2, "vehicleType": 2, "hoverSpeed": 5, "items": list(items)}
+    mission["plannedHomePosition"] = [47.0, 8.0, 400]
     fence = {"circles": [], "polygons": [], "version": 2}
     rally = {"points": [], "version": 2}
-    parts = {"mission": usual | mission, "geoFence": fence, "rallyPoints": rally}
+    parts = {"mission": mission, "geoFence": fence, "rallyPoints": rally}
     return {"fileType": "Plan", "version": 1, **parts}
 
 

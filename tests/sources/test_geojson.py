@@ -26,14 +26,15 @@ def corners(ring: list[list[float]]) -> list[list[float]]:
 
 
 def test_polygons_are_zones_and_points_circles(folder: Path) -> None:
+    """Holes make a keep-out no smaller and a keep-in no larger."""
     parts = [LINE["geometry"], feature("MultiPolygon", [[HOLE], [RING]])["geometry"]]
     mixed = {"type": "GeometryCollection", "geometries": parts}
     found = read(
         folder,
         collection(
-            feature("Polygon", [RING], name="quarry"),
+            feature("Polygon", [RING, HOLE], name="quarry"),
             feature("Polygon", [HOLE]) | {"properties": None},
-            feature("MultiPolygon", [[RING], [HOLE]], name="lakes"),
+            feature("Polygon", [RING, HOLE], name="range", kind="keep_in"),
             feature("Point", [8.0, 47.0, 400.0], radius_m=250, name="mast"),
             feature("MultiPoint", [[8.0, 47.0], [8.1, 47.0]], radius_m=50.0),
             feature("Point", [8.0, 47.0], radius_m=9000.0, kind="keep_in"),
@@ -47,26 +48,18 @@ def test_polygons_are_zones_and_points_circles(folder: Path) -> None:
     assert found.keep_outs == [
         {"name": "quarry", "vertices_deg": ring},
         {"name": "feature 1", "vertices_deg": hole},
-        {"name": "lakes part 1", "vertices_deg": ring},
-        {"name": "lakes part 2", "vertices_deg": hole},
+        {"name": "range hole 1", "vertices_deg": hole},
         {"name": "mast", **place, "radius_m": 250.0},
         {"name": "feature 4", **place, "radius_m": 50.0},
         {"name": "feature 4", "latitude_deg": 47.0, "longitude_deg": 8.1, "radius_m": 50.0},
         {"name": "mixed part 1", "vertices_deg": hole},
         {"name": "mixed part 2", "vertices_deg": ring},
     ]
-    assert found.keep_ins == [{"name": "feature 5", **place, "radius_m": 9000.0}]
-    assert found.notes == ["zones.geojson: left out, as they are no zones: 1 x line"]
+    circle = {"name": "feature 5", **place, "radius_m": 9000.0}
+    assert found.keep_ins == [{"name": "range", "vertices_deg": ring}, circle]
+    left_out = "zones.geojson: left out, as they are no zones: 1 x line"
+    assert found.notes == ["keep-out 'quarry': its holes are kept out of as well", left_out]
     assert len(read(folder, mixed, ALL).keep_outs) == 2
-
-
-def test_holes_make_a_keep_out_no_smaller_and_a_keep_in_no_larger(folder: Path) -> None:
-    found = read(folder, collection(feature("Polygon", [RING, HOLE], name="town")))
-    assert len(found.keep_outs) == 1
-    assert found.notes == ["keep-out 'town': its holes are kept out of as well"]
-    found = read(folder, collection(feature("Polygon", [RING, HOLE], name="range", kind="keep_in")))
-    assert [zone["name"] for zone in found.keep_ins] == ["range"]
-    assert [zone["name"] for zone in found.keep_outs] == ["range hole 1"]
 
 
 EMPTY = {"type": "GeometryCollection", "geometries": []}

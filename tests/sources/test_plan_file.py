@@ -110,13 +110,6 @@ def test_plans_and_lists_say_what_they_were_made_of(
     assert (shapes(fence.keep_ins), shapes(fence.keep_outs)) == (zones[True], zones[False])
 
 
-def test_a_survey_is_its_waypoints_and_where_it_lands_and_says_what_is_not_done_there() -> None:
-    """Of other items: `test_mission_file`."""
-    survey = read_plan(MISSIONS / "survey.plan", "MISSION")
-    assert (len(survey.targets), survey.end_action) == (6 + 1, "land")
-    assert survey.notes == ["left out: 6 x do set cam trigg dist"]
-
-
 def test_how_a_list_is_written_does_not_matter(folder: Path) -> None:
     """A parameter that is no number is not given."""
     txt = folder / "survey.txt"
