@@ -199,7 +199,8 @@ def test_distances_are_shapelys_and_beams_end_where_steps_first_are_inside(seed:
     ways = rng.normal(size=(12, 3)) * [1.0, 1.0, 0.4]
     ways[:3] = [(1.0, 0.0, 0.0), (1.0, 0.1, 0.02), (1.0, -0.1, -0.05)]  # at the hill
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    eye = np.array([0.0, 0.0, PLAIN_M + 22.0])  # above all roofs: beams come down on them
+    # above all roofs, so that beams come down on them; and among them, so that some pass above
+    eye = np.array([0.0, 0.0, PLAIN_M + (22.0 if seed % 2 else 9.0)])
     found, steps = made.scene().ray_lengths_m(eye, ways, 60.0), np.arange(0.0, 60.0, 0.02)
     shapely.prepare([shape for shape, _ in solids])
     for way, length in zip(ways, found, strict=True):
