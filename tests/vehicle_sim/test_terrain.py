@@ -167,6 +167,8 @@ def test_frames_are_pyprojs_equidistant_ones_there_and_back(here_deg: Any, away_
     there = frame.to_geographic(*away_m)
     assert away_m == flat(*there, "+ellps=WGS84")
     assert frame.to_local(*there) == pytest.approx(away_m, abs=1e-6)
+    many = frame.to_geographic_many(*np.array(away_m)[:, None])
+    assert (*many[0], *many[1]) == pytest.approx(there, abs=1e-12)
     sphere = Projection(Place(*here_deg, 400.0))
     place = sphere.place(*away_m, -30.0)
     assert away_m == flat(place.latitude_deg, place.longitude_deg, "+R=6371000")
