@@ -1,20 +1,23 @@
 """Who is at the other end of a socket: a client of pymavlink's, a process, a server in a thread."""
 
+import itertools
 import socket
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, cast
 
 import pytest
+from harness import world
 from pymavlink.dialects.v20 import all as mavlink
+from wires import Speaker
 
 from vehicle_sim.errors import SimulatorError
-from vehicle_sim.links import Link
+from vehicle_sim.links import open_link, parse_endpoint
 from vehicle_sim.server import Server
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.stations import Station, Stations
@@ -23,21 +26,16 @@ from vehicle_sim.world import parse_world
 ROOT = Path(__file__).parents[2]
 
 
-class Client:
+class Client(Speaker):
     """The other end of a link: a few frames on a real socket, and nothing of our own code."""
 
     def __init__(self, link: socket.socket, ids: tuple[int, int] = (1, 195)) -> None:
-        self.link, self.address = link, cast(Any, None)
+        super().__init__(srcSystem=ids[0], srcComponent=ids[1])
+        self.link, self.address, self.parser = link, cast(Any, None), mavlink.MAVLink(None)
         self.link.settimeout(20.0)
-        self.mav, self.parser = mavlink.MAVLink(None, *ids), mavlink.MAVLink(None)
         self.parser.robust_parsing = True
         self.port = link.getsockname()[1]
         self.endpoint = f"udpout:127.0.0.1:{self.port}"
-
-    def frame(self, message: Any) -> bytes:
-        packed: bytes = message.pack(self.mav)
-        self.mav.seq = (self.mav.seq + 1) % 256
-        return packed
 
     def command(self, number: int, *p: float, target: tuple[int, int] = (1, 1)) -> bytes:
         padded = [*p, *[0.0] * (7 - len(p))]
@@ -76,13 +74,13 @@ class Client:
         self.send(*frames, self.answer(got[-1]))
         return got
 
-    def wait_for(self, wanted: Callable[[Any], bool], within_s: float = 10.0) -> Any:
+    def wait_for(self, wanted: Callable[[Any], bool]) -> Any:
         """The first message for which this is so."""
-        deadline_s = time.monotonic() + within_s
+        deadline_s = time.monotonic() + 10.0
         while time.monotonic() < deadline_s:
             for message in filter(wanted, self.messages()):
                 return message
-        pytest.fail(f"it did not come within {within_s} s")
+        pytest.fail("it did not come within 10 s")
 
 
 def is_question(message: Any) -> bool:
@@ -115,22 +113,27 @@ class Process(subprocess.Popen[str]):
 
 
 class Running(threading.Thread):
-    """A server of some vehicles on a link, or one each; and what became of it."""
+    """A server of vehicles with a radar, on one link or on one each ("A B"); what became of it."""
 
-    def __init__(
-        self, tables: Sequence[dict[str, Any]], links: Sequence[Link], **settings: Any
-    ) -> None:
+    def __init__(self, endpoints: str, count: int = 1, **settings: Any) -> None:
         super().__init__(daemon=True)
+        scanner = {"component_id": 100, "range_m": 5000.0}
+        tables = (world(scanner=scanner, system_id=k + 1) for k in range(count))
         self.simulations = [Simulation(parse_world(table), seed=1) for table in tables]
         self.simulation, self.stop = self.simulations[0], threading.Event()
-        self.port = links[0].endpoint.port
-        self.error: Exception | None = None
-        of_each = links if len(links) > 1 else [*links] * len(tables)
-        pairs = zip(self.simulations, of_each, strict=True)
+        self.links = [open_link(parse_endpoint(each)) for each in endpoints.split()]
+        self.port, self.error = self.links[0].endpoint.port, cast(Any, None)
+        pairs = zip(self.simulations, itertools.cycle(self.links), strict=False)
         stations = [Station(simulation=each, links=[link]) for each, link in pairs]
         ours = Stations(stations, self.stop)
         self._server = Server(stations=ours, say=lambda _: None, **settings)
         self.start()
+
+    def end(self) -> None:
+        self.stop.set()
+        self.join(10.0)
+        for link in self.links:
+            link.close()
 
     def run(self) -> None:
         try:

@@ -8,10 +8,11 @@ import cmath
 import copy
 import copyreg
 import functools
+import itertools
 import json
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, Final, Self, TypeVar
+from typing import Any, Final, Self, TypeVar, get_args
 
 from pymavlink.dialects.v20 import all as mavlink
 
@@ -56,19 +57,12 @@ def placed(place: tuple[float, ...], *, height: bool = True) -> dict[str, float]
     return dict(zip(names, place, strict=False))
 
 
-def item(
-    home_deg: tuple[float, ...],
-    command: int,
-    north_m: float = 0.0,
-    east_m: float = 0.0,
-    z_m: float = 0.0,
-    *p: float,
-    frame: int = 3,
-) -> PlanItem:
-    """Of a plan, at a place in metres from home."""
+def item(home_deg: tuple[float, ...], command: int, *numbers: float, frame: int = 3) -> PlanItem:
+    """Of a plan: metres north and east of home, z, and parameters; what is left out is 0."""
     home = LocalFrame(**placed(home_deg, height=False))
+    north_m, east_m, z_m, *parameters = (*numbers, *(0.0,) * (7 - len(numbers)))
     x, y = (round(angle * 1e7) for angle in home.to_geographic(north_m, east_m))
-    p1, p2, p3, p4 = (*p, 0.0, 0.0, 0.0, 0.0)[:4]
+    p1, p2, p3, p4 = parameters
     return PlanItem(frame=frame, command=command, parameters=(p1, p2, p3, p4), x=x, y=y, z_m=z_m)
 
 
@@ -120,29 +114,20 @@ class Heard:
 
 
 def world(
-    autopilot: str = "ideal",
-    kind: VehicleKind = "copter",
-    place: Vector = COPTER_HOME,
-    *,
-    peaks: Sequence[Any] = (),
-    **told: Any,
+    autopilot: str = "ideal", kind: VehicleKind = "copter", place: Vector = COPTER_HOME, **told: Any
 ) -> dict[str, Any]:
     """A world file's table: a plain, and on it this vehicle.
 
     What is named in capitals is a parameter of its autopilot, what a vehicle of a world file has is
-    its own, and the rest are tables of that file.
+    its own, peaks are the plain's, and the rest are tables of that file.
     """
     vehicle: dict[str, Any] = {"kind": kind, "autopilot": autopilot}
     vehicle |= {name: told.pop(name) for name in Vehicle.model_fields if name in told}
     vehicle["parameters"] = {name: told.pop(name) for name in [*told] if name.isupper()}
-    table = {
-        "schema": 1,
-        "name": "flat",
-        "origin": placed(place, height=False),
-        "terrain": {"combine": "maximum", "ground_amsl_m": place[2], "peaks": list(peaks)},
-        "vehicle": vehicle,
-    }
-    return table | told
+    ground = {"ground_amsl_m": place[2], "peaks": told.pop("peaks", [])}
+    origin = placed(place, height=False)
+    named = {"schema": 1, "name": "flat", "origin": origin, "terrain": ground, "vehicle": vehicle}
+    return named | told
 
 
 class Rig:
@@ -202,9 +187,7 @@ class Rig:
         self.run(0.02)
         return [each.message for each in self.heard[begun:] if each.link == link]
 
-    def command(
-        self, number: int, *p: float, frame: int | None = None, link: int = 0
-    ) -> int | None:
+    def command(self, number: int, *p: float, frame: int | None = None) -> int | None:
         """COMMAND_LONG, or COMMAND_INT in this frame with x and y in degrees; its result, at once.
 
         None: there is no answer.
@@ -216,7 +199,7 @@ class Rig:
             place = (_NOWHERE if math.isnan(angle) else round(angle * 1e7) for angle in (x, y))
             head = (*VEHICLE, frame, number, 0, 0)
             order = mavlink.MAVLink_command_int_message(*head, *four, *place, z)
-        self.send(order, link=link)
+        self.send(order)
         return self._result(number, begun)
 
     def _result(self, number: int, begun: int) -> int | None:
@@ -248,10 +231,8 @@ class Rig:
         self, north_m: float, east_m: float, up_m: float, radius_m: float = 0.0, ccw: float = 0.0
     ) -> int | None:
         """DO_REPOSITION to a place from home."""
-        *place, _ = self.place(north_m, east_m, up_m)
-        is_px4 = self.firmware == "px4"
-        frame, z_m, p4 = (5, self.home[2] + up_m, NAN) if is_px4 else (3, up_m, ccw)
-        return self.command(192, -1, 1, radius_m, p4, *place, z_m, frame=frame)
+        left, place = NAN if self.firmware == "px4" else ccw, self.place(north_m, east_m, up_m)
+        return self.command(192, -1, 1, radius_m, left, *place, frame=5)
 
     def fault(self, line: str) -> None:
         self.simulation.add_fault(line)
@@ -267,16 +248,15 @@ class Rig:
         """Vehicle time since the start."""
         return self.simulation.now_us * 1e-6
 
-    def step(self) -> bool:
-        """10 ms, and before them what is due to be sent; whether a lockstep tick is complete."""
+    def step(self) -> None:
+        """10 ms, and before them what is due to be sent."""
         steps, self._steps = self._steps, self._steps + 1
         if self.streamed is not None and steps % 5 == 0:
             self.send(self.streamed)
         if self.beat is not None and steps % 100 == 0:
             self.send(self.beat)
-        complete = self.simulation.step()
+        self.simulation.step()
         self._hear()
-        return complete
 
     def _hear(self) -> None:
         now_s = self.now_s
@@ -353,10 +333,8 @@ class Rig:
         self, north_m: float, east_m: float, up_m: float, heading_rad: float, *, speed_m_s: float
     ) -> Self:
         """A plane, wings level in still air."""
-        plane = self.vehicle
-        plane.latitude_deg, plane.longitude_deg, plane.altitude_amsl_m = self.place(
-            north_m, east_m, up_m
-        )
+        plane, there = self.vehicle, self.place(north_m, east_m, up_m)
+        plane.latitude_deg, plane.longitude_deg, plane.altitude_amsl_m = there
         plane.heading_rad, plane.roll_rad, plane.airspeed_m_s = heading_rad, 0.0, speed_m_s
         plane.velocity_m_s = cmath.rect(speed_m_s, heading_rad)
         return self.run(STEP_S)
@@ -427,14 +405,6 @@ class Rig:
         return self.simulation.mode_name
 
     @property
-    def armed(self) -> bool:
-        return self.simulation.armed
-
-    @property
-    def landed(self) -> bool:
-        return self.simulation.landed
-
-    @property
     def status(self) -> Any:
         return self.autopilot.status()
 
@@ -444,10 +414,7 @@ class Rig:
 
 # --- some that fly --------------------------------------------------------------------------------
 
-KINDS: Final[tuple[tuple[Firmware, VehicleKind], ...]] = (
-    *(("ardupilot", "copter"), ("ardupilot", "plane")),
-    *(("px4", "copter"), ("px4", "plane")),
-)
+KINDS: Final = tuple(itertools.product(get_args(Firmware), get_args(VehicleKind)))
 
 
 @copied
@@ -484,13 +451,7 @@ def _cruising(**told: Any) -> Rig:
     return Rig("px4", "plane", **{"COM_OBL_RC_ACT": 5.0} | told).take_off(50.0)
 
 
-def cruising(
-    north_m: float = 0.0,
-    east_m: float = 0.0,
-    height_m: float = 68.0,
-    heading_rad: float = 0.0,
-    **told: Any,
-) -> Rig:
-    """PX4's plane that has long been on its way, put there."""
+def cruising(north_m: float = 0, east_m: float = 0, heading_rad: float = 0, **told: Any) -> Rig:
+    """PX4's plane that has long been on its way, put there 68 m up."""
     rig, speed_m_s = _cruising(**told), SIH_AIRPLANE.airspeed_max_m_s
-    return rig.put_at(north_m, east_m, height_m, heading_rad, speed_m_s=speed_m_s)
+    return rig.put_at(north_m, east_m, 68.0, heading_rad, speed_m_s=speed_m_s)

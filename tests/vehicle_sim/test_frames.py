@@ -14,6 +14,7 @@ from harness import VEHICLE, Rig, hover, hovering
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
+from wires import Speaker
 
 from vehicle_sim.autopilot.values import Text
 from vehicle_sim.flight_controller import texts
@@ -27,8 +28,7 @@ BOTH = pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
 
 
 def packed(message: Any, *, old: bool = False) -> bytes:
-    mav = mavlink.MAVLink(None, srcSystem=7, srcComponent=195)
-    return bytes(message.pack(mav, force_mavlink1=old))
+    return Speaker(srcSystem=7, srcComponent=195).frame(message, force_mavlink1=old)
 
 
 # --- frames ---------------------------------------------------------------------------------------
@@ -151,9 +151,7 @@ def as_float(whole: int) -> Any:
 
 
 @BOTH
-def test_values_are_listed_in_order_read_by_index_or_name_told_to_every_link_and_kept(
-    firmware: Firmware,
-) -> None:
+def test_values_are_listed_in_order_read_set_and_told_to_every_link(firmware: Firmware) -> None:
     vehicle, name = Rig(firmware, links=2), FLOAT[firmware]
     table = vehicle.simulation.parameters
     listed = [(m.param_id, m.param_index, m.param_count) for m in values(vehicle, LIST)]

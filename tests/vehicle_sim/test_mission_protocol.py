@@ -1,6 +1,7 @@
 """Missions, fences and rally points over the wire: one server for all autopilots."""
 
 import math
+from functools import partial
 from typing import Any
 
 import pytest
@@ -15,6 +16,7 @@ MISSION, FENCE, RALLY = PlanKind.MISSION, PlanKind.FENCE, PlanKind.RALLY
 ACCEPTED, ERROR, FRAME, UNSUPPORTED, NO_SPACE, INVALID = range(6)
 SEQUENCE, CANCELLED = 13, 15
 """MAV_MISSION_RESULT."""
+REQUEST = mavlink.MAVLink_mission_request_int_message
 ASKS = ("MISSION_REQUEST", "MISSION_REQUEST_INT")
 FIELDS = ("command", "frame", "param1", "param2", "param3", "param4", "x", "y", "z")
 NOWHERE = {"frame": 2, "x": 0, "y": 0, "z": 0}
@@ -68,21 +70,15 @@ def upload(vehicle: Rig, items: list[Any], kind: int) -> int | None:
 
 
 def download(vehicle: Rig, kind: int, source: tuple[int, int] = GCS, link: int = 0) -> list[Any]:
-    asked = mavlink.MAVLink_mission_request_list_message(*VEHICLE, kind)
-    (told,) = say(vehicle, asked, source=source, link=link)
-    requests = (
-        mavlink.MAVLink_mission_request_int_message(*VEHICLE, seq, kind)
-        for seq in range(told.count)
-    )
-    items = [say(vehicle, each, source=source, link=link)[0] for each in requests]
-    say(vehicle, mavlink.MAVLink_mission_ack_message(*VEHICLE, 0, kind), source=source, link=link)
+    tell, asks = partial(say, vehicle, source=source, link=link), partial(REQUEST, *VEHICLE)
+    (told,) = tell(mavlink.MAVLink_mission_request_list_message(*VEHICLE, kind))
+    items = [tell(asks(seq, kind))[0] for seq in range(told.count)]
+    tell(mavlink.MAVLink_mission_ack_message(*VEHICLE, 0, kind))
     return items
 
 
 @BOTH
-def test_what_is_uploaded_comes_back_to_anybody_as_it_was_sent_until_it_is_cleared(
-    firmware: Firmware,
-) -> None:
+def test_what_is_uploaded_comes_back_as_it_was_sent_until_cleared(firmware: Firmware) -> None:
     vehicle = Rig(firmware, links=2)
 
     def told(items: list[Any]) -> list[list[str]]:
@@ -95,8 +91,7 @@ def test_what_is_uploaded_comes_back_to_anybody_as_it_was_sent_until_it_is_clear
             got = download(vehicle, kind, source, link)
             assert [each.seq for each in got] == list(range(len(items)))
             assert told(got[begin:]) == told(items[begin:])
-        beyond = mavlink.MAVLink_mission_request_int_message(*VEHICLE, len(items), kind)
-        assert say(vehicle, beyond)[0].type == SEQUENCE
+        assert say(vehicle, REQUEST(*VEHICLE, len(items), kind))[0].type == SEQUENCE
     for kind, emptied in ((FENCE, [FENCE]), (255, list(PlanKind))):
         (ack,) = say(vehicle, mavlink.MAVLink_mission_clear_all_message(*VEHICLE, kind))
         assert (ack.get_type(), ack.type, ack.mission_type) == ("MISSION_ACK", ACCEPTED, kind)
@@ -187,9 +182,7 @@ def test_what_does_not_come_is_asked_for_again_and_given_up_in_the_end(firmware:
         (7, [circle(0)], UNSUPPORTED),  # a list that there is not
     ],
 )
-def test_a_list_is_taken_whole_or_refused_and_the_old_one_stays(
-    kind: Any, items: list[Any], result: int
-) -> None:
+def test_a_list_is_taken_whole_or_the_old_stays(kind: Any, items: list[Any], result: int) -> None:
     vehicle = Rig("px4", links=2)
     kept = vehicle.simulation.plans
     upload(vehicle, lists().get(kind, []), kind)

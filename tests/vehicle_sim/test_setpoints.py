@@ -1,7 +1,6 @@
 """How both firmwares read SET_POSITION_TARGET: the tables of ardupilot.md 3 and px4.md 4."""
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -18,28 +17,19 @@ EAST_RAD = math.pi / 2.0
 """The heading: ahead is east, to the right is south."""
 
 
-def given(
-    mask: int,
-    position: Vector = PLACE,
-    velocity: Vector = SPEED,
-    acceleration: Vector = PUSH,
-    frame: int = 1,
-    *,
-    yaw_rad: float = 0.3,
-    is_global: bool = False,
-) -> Setpoint:
-    vectors = (position, velocity, acceleration)
-    return Setpoint(is_global, frame, mask, *vectors, yaw_rad, yaw_rate_rad_s=0.1)
+GIVEN = Setpoint(False, 1, 0, PLACE, SPEED, PUSH, yaw_rad=0.3, yaw_rate_rad_s=0.1)
+
+
+def given(mask: int, position: Vector = PLACE, **changes: Any) -> Setpoint:
+    return GIVEN._replace(type_mask=mask, position=position, **changes)
 
 
 def globally(mask: int, position: Vector = GLOBAL, frame: int = 6) -> Setpoint:
     return given(mask, position, frame=frame, is_global=True)
 
 
-def asked(
-    position: Vector = NOTHING, velocity: Vector = NOTHING, acceleration: Vector = NOTHING
-) -> Any:
-    return pytest.approx([*position, *velocity, *acceleration], abs=1e-9, nan_ok=True)
+def asked(place: Vector = NOTHING, moves: Vector = NOTHING, push: Vector = NOTHING) -> Any:
+    return pytest.approx([*place, *moves, *push], abs=1e-9, nan_ok=True)
 
 
 def told(target: Target | Stop | None) -> list[float] | None:
@@ -89,8 +79,8 @@ def test_arducopter_takes_whole_groups_or_stops_and_px4_takes_each_axis_by_itsel
         (read_by_px4, globally, 0xDC4, {*range(22)}),  # of a place that lacks an axis nothing
     ],
 )
-def test_only_in_some_frames_a_setpoint_is_taken(
-    read: Callable[..., Any], send: Callable[..., Setpoint], mask: int, frames: set[int]
+def test_a_setpoint_is_taken_in_some_frames(
+    read: Any, send: Any, mask: int, frames: set[int]
 ) -> None:
     targets = {frame: read(send(mask, frame=frame), 0.0) for frame in range(22)}
     assert {frame for frame in targets if told(targets[frame])} == frames
@@ -101,18 +91,19 @@ def test_only_in_some_frames_a_setpoint_is_taken(
 
 WILD = [  # and whether it is told that the real one does not survive it
     *((globally(POSITION, p), False) for p in ((91.0, 8.5, 500.0), (47.0, 180.5, 500.0))),
-    *((given(POSITION_VELOCITY, velocity=(v, 0, 0)), False) for v in (NAN, 1001.0, -1001.0)),
+    *(
+        (given(POSITION_VELOCITY, velocity_ned_m_s=(v, 0, 0)), False)
+        for v in (NAN, 1001.0, -1001.0)
+    ),
     # what the real one does not survive
     *((given(POSITION, p), True) for p in ((NAN, 0, -30), (0, 0, NAN), (1e9, 0, -30))),
     *((globally(POSITION, (47.0, 8.0, z)), True) for z in (NAN, 1e9)),
-    (given(ALL, acceleration=(NAN, 0.0, 0.0)), True),
+    (given(ALL, acceleration_ned_m_s2=(NAN, 0.0, 0.0)), True),
     (given(0x9F8, yaw_rad=NAN), True),
 ]
 
 
-def test_wild_numbers_stop_arducopter_and_those_are_told_that_the_real_one_does_not_survive() -> (
-    None
-):
+def test_wild_numbers_stop_arducopter_and_what_the_real_one_does_not_survive_is_told() -> None:
     for setpoint, is_told in WILD:
         target = read_by_arducopter(setpoint, 0.0)
         assert isinstance(target, Stop), setpoint
@@ -122,10 +113,11 @@ def test_wild_numbers_stop_arducopter_and_those_are_told_that_the_real_one_does_
 def test_not_a_number_in_what_is_ignored_is_harmless_and_to_px4_is_an_axis_not_given() -> None:
     assert told(read_by_arducopter(globally(ALL), 0.0)) == asked(GLOBAL, SPEED)  # no acceleration
     for read in (read_by_arducopter, read_by_px4):
-        unread = given(POSITION, velocity=NOTHING, acceleration=NOTHING, yaw_rad=NAN)
+        nothing = dict.fromkeys(("velocity_ned_m_s", "acceleration_ned_m_s2"), NOTHING)
+        unread = given(POSITION, yaw_rad=NAN, **nothing)
         assert told(read(unread, 0.0)) == P
     wild = (NAN, math.inf, -math.inf)
-    assert told(read_by_px4(given(POSITION_VELOCITY, velocity=wild), 0.0)) == P
+    assert told(read_by_px4(given(POSITION_VELOCITY, velocity_ned_m_s=wild), 0.0)) == P
     assert read_by_px4(given(POSITION, wild), 0.0) is None
     assert told(read_by_px4(globally(POSITION_VELOCITY, (NAN, 8.5, 500.0)), 0.0)) == V
 

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as mavlink
+from wires import Speaker
 
 from vehicle_sim.faults import LinkConditions
 from vehicle_sim.wire.frames import framed
@@ -41,21 +42,12 @@ def signed_vehicle() -> Signing:
     return signing
 
 
-class Client:
+def speaker(key: bytes | None = KEY, link: int = 5, late: int = 0, component: int = 190) -> Speaker:
     """pymavlink with its own signing."""
-
-    def __init__(
-        self, *, secret: bytes = KEY, link: int = 5, late: int = 0, component: int = 190
-    ) -> None:
-        self.mav = mavlink.MAVLink(None, srcSystem=255, srcComponent=component)
-        self.mav.signing.secret_key, self.mav.signing.link_id = secret, link
-        self.mav.signing.timestamp, self.mav.signing.sign_outgoing = NOW + late, bool(secret)
-
-    def frame(self, message: Any = ARM, *, old: bool = False) -> bytes:
-        return bytes(message.pack(self.mav, force_mavlink1=old))
+    return Speaker(key, NOW + late, link=link, srcSystem=255, srcComponent=component)
 
 
-UNSIGNED, LIAR = Client(secret=b""), Client(secret=WRONG_KEY)
+UNSIGNED, LIAR = speaker(None), speaker(WRONG_KEY)
 
 
 def test_without_a_key_everything_comes_in_and_nothing_is_signed() -> None:
@@ -63,53 +55,52 @@ def test_without_a_key_everything_comes_in_and_nothing_is_signed() -> None:
     taken_back.setup(setup(bytes(32), 0), armed=False)
     for signing in (Signing(), taken_back):
         assert not signing.secret
-        assert all(signing.accepts(client.frame(), SIGNED) for client in (UNSIGNED, LIAR))
+        assert all(signing.accepts(each.frame(ARM), SIGNED) for each in (UNSIGNED, LIAR))
     (refused,) = signing.setup(setup(), armed=True)
     assert refused.text == "ERROR: Won't setup signing when armed"
     assert not signing.secret
 
 
 def test_pymavlink_believes_what_the_vehicle_signs_a_minute_ahead_on_every_link() -> None:
-    signing, client = signed_vehicle(), Client()
+    signing, client = signed_vehicle(), speaker()
     for count, link in enumerate((USB, SIGNED, 2)):
         frame = framed(STATUS, 0, 1, 1, partial(signing.signature, link=link))
         assert client.mav.decode(bytearray(frame)).get_signed()
         assert frame[-13] == link
         assert int.from_bytes(frame[-12:-6], "little") == NOW + 60 * SECOND + count
     with pytest.raises(mavlink.MAVError, match="signature"):
-        Client(secret=WRONG_KEY).mav.decode(bytearray(frame))
+        LIAR.mav.decode(bytearray(frame))
 
 
 @given(flip=st.integers(0, 10**6))
 def test_the_vehicle_believes_what_pymavlink_signs_but_for_one_bit(flip: int) -> None:
-    signing, client = signed_vehicle(), Client()
-    frame = bytearray(client.frame())
+    signing, client = signed_vehicle(), speaker()
+    frame = bytearray(client.frame(ARM))
     at = flip % (8 * len(frame))
     frame[at // 8] ^= 1 << at % 8
     assert not signing.accepts(bytes(frame), SIGNED)
-    assert all(signing.accepts(client.frame(), SIGNED) for _ in range(5))  # it leaves no trace
+    assert all(signing.accepts(client.frame(ARM), SIGNED) for _ in range(5))  # it leaves no trace
 
 
 def test_link_0_takes_everything_and_the_others_what_is_signed_and_newer_in_its_stream() -> None:
     """30 s old was dropped although the client's clock is right: the vehicle's is 60 s ahead."""
-    signing = signed_vehicle()
-    unsigned = (UNSIGNED.frame(), UNSIGNED.frame(old=True), UNSIGNED.frame(setup()))
-    for frame in (*unsigned, LIAR.frame()):
+    signing, old = signed_vehicle(), UNSIGNED.frame(ARM, force_mavlink1=True)
+    for frame in (UNSIGNED.frame(ARM), old, UNSIGNED.frame(setup()), LIAR.frame(ARM)):
         assert [signing.accepts(frame, link) for link in (USB, SIGNED)] == [True, False]
     for late, taken in ((-30 * SECOND, False), (-1, False), (0, True), (90 * SECOND, True)):
-        assert signed_vehicle().accepts(Client(late=late).frame(), SIGNED) is taken
-    signing, frame = signed_vehicle(), Client(late=5).frame()
+        assert signed_vehicle().accepts(speaker(late=late).frame(ARM), SIGNED) is taken
+    signing, frame = signed_vehicle(), speaker(late=5).frame(ARM)
     assert [signing.accepts(frame, SIGNED) for _ in range(2)] == [True, False]
-    assert not signing.accepts(Client(late=4).frame(), SIGNED)
-    assert signing.accepts(Client(component=191).frame(), SIGNED)  # another stream
-    assert signing.accepts(Client(link=13, late=200 * SECOND).frame(), SIGNED)
-    assert not signing.accepts(Client(link=6).frame(), SIGNED)  # it keeps up with what it hears
+    assert not signing.accepts(speaker(late=4).frame(ARM), SIGNED)
+    assert signing.accepts(speaker(component=191).frame(ARM), SIGNED)  # another stream
+    assert signing.accepts(speaker(link=13, late=200 * SECOND).frame(ARM), SIGNED)
+    assert not signing.accepts(speaker(link=6).frame(ARM), SIGNED)  # it keeps up with what it hears
 
 
 def test_px4_takes_what_is_signed_and_what_is_not_and_never_signs() -> None:
     vehicle = Rig("px4").armable()
-    vehicle.put(Client().frame())
-    assert vehicle.armed
+    vehicle.put(speaker().frame(ARM))
+    assert vehicle.simulation.armed
     vehicle.send(setup(), source=GCS)
     assert vehicle.run(0.1).command(400, 0) == 0
     assert not any(heard.frame[2] & 1 for heard in vehicle.heard)
@@ -143,9 +134,7 @@ def test_frames_are_lost_for_good_and_doubled_right_behind_in_their_shares() -> 
 
 
 @given(delay_us=st.integers(0, 3 * S))
-def test_a_delay_keeps_the_order_and_jitter_lets_frames_overtake_within_its_bounds(
-    delay_us: int,
-) -> None:
+def test_a_delay_keeps_order_and_jitter_lets_frames_overtake_within_bounds(delay_us: int) -> None:
     for jitter_us in (0, 80_000):
         at_us, numbers = carried(links(delay_us=delay_us, jitter_us=jitter_us), 200).T
         assert sorted(numbers) == list(range(200))
@@ -155,16 +144,12 @@ def test_a_delay_keeps_the_order_and_jitter_lets_frames_overtake_within_its_boun
 
 
 def test_only_the_links_and_directions_that_are_meant_are_concerned() -> None:
-    both = (True, False)
-    for link, to_vehicle, only, way in itertools.product(
-        (0, 5), both, (None, 5), ("both", "from_vehicle", "to_vehicle")
-    ):
+    both, directions = (True, False), ("both", "from_vehicle", "to_vehicle")
+    for link, to_vehicle, only, way in itertools.product((0, 5), both, (None, 5), directions):
         meant: dict[str, Any] = {} if way == "both" else {"way": way}
         made = links(off=True, to_vehicle=to_vehicle, **meant, **({"only": 5} if only else {}))
-        concerned = only in (None, link) and way in (
-            "both",
-            f"{'to' if to_vehicle else 'from'}_vehicle",
-        )
+        ways = ("both", "to_vehicle" if to_vehicle else "from_vehicle")
+        concerned = only in (None, link) and way in ways
         assert (len(carried(made, 1, link)) == 0) is concerned
         made.impair(LinkConditions())
         assert len(carried(made, 3, link)) == 3

@@ -18,6 +18,7 @@ import pytest
 from clients import ROOT, Client, is_question
 from harness import NAN, PLACE, Rig, heartbeat, setpoint
 from pymavlink.dialects.v20 import all as mavlink
+from wires import Speaker
 
 from vehicle_sim import testing
 
@@ -62,7 +63,7 @@ def test_a_reboot_is_the_autopilots_alone() -> None:
     south_west = (round(1e7 * at) for at in flown.home[:2])
     flown.send(mavlink.MAVLink_terrain_request_message(*south_west, 100, 1))
     flown.run(0.9)
-    assert (flown.armed, flown.simulation.armable) == (False, False)
+    assert (flown.simulation.armed, flown.simulation.armable) == (False, False)
     assert {heard.source[1] for heard in flown.heard} == {100, 196}
     assert 3 <= len(flown.all("OBSTACLE_DISTANCE")) <= 5
     assert {"TERRAIN_DATA", "TERRAIN_REPORT", "HEARTBEAT"} <= {each.kind for each in flown.heard}
@@ -76,22 +77,18 @@ def test_a_reboot_is_the_autopilots_alone() -> None:
 
 @pytest.mark.parametrize(("autopilot", "first_s"), [("ardupilot", 0.9), ("px4", 1.6)])
 @pytest.mark.parametrize("kind", ["copter", "plane"])
-def test_who_waits_for_a_heartbeat_and_then_asks_gets_what_it_asked_for(
-    kind: Any, autopilot: str, first_s: float
-) -> None:
+def test_what_is_asked_at_the_first_beat_comes(kind: Any, autopilot: str, first_s: float) -> None:
     """At once, as most scripts do: after the start, after a reboot (ardupilot.md 1, px4.md 3)."""
-    vehicle = Rig(autopilot, kind, scanner=RADAR)
-    for began_s in (0.0, None):
-        if began_s is None:
-            vehicle.fault("reboot")
-            vehicle.run(0.01)
-            began_s = vehicle.now_s + DOWN_S
-            vehicle.run(DOWN_S)
+    vehicle, began_s = Rig(autopilot, kind, scanner=RADAR), 0.0
+    for _ in range(2):
         vehicle.heard.clear()
         vehicle.until(lambda: any(h.source[1] == 1 for h in vehicle.all("HEARTBEAT")), 3.0)
         assert vehicle.all("HEARTBEAT")[-1].at_s == pytest.approx(began_s + first_s, abs=0.011)
         assert vehicle.command(511, 30, 50_000) == 0
         assert len(vehicle.run(1.0).all("ATTITUDE")) >= 19
+        vehicle.fault("reboot")
+        began_s = vehicle.run(0.01).now_s + DOWN_S
+        vehicle.run(DOWN_S)
 
 
 _WARMED_UP = """
@@ -116,9 +113,7 @@ for name in ("street", "valley"):
 """
 
 
-def test_what_has_warmed_up_compiles_nothing_in_flight_also_where_nothing_can_be_written(
-    tmp_path: Path,
-) -> None:
+def test_what_has_warmed_up_compiles_nothing_even_with_no_place_to_write(tmp_path: Path) -> None:
     """Silent for the seconds that it takes, a vehicle is given up: a first flight failed so."""
     nowhere = tmp_path / "no folder"
     nowhere.touch()
@@ -136,8 +131,7 @@ vehicle_sim = testing.vehicle_sim
 
 def send(sim: testing.Simulator, *messages: Any) -> None:
     """By a companion, in a datagram."""
-    mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
-    sim.simulation.receive(0, b"".join(message.pack(mav) for message in messages))
+    sim.simulation.receive(0, b"".join(map(Speaker(srcComponent=191).frame, messages)))
 
 
 def command(number: int, p1: float, p2: float = 0.0, p7: float = 0.0) -> Any:
@@ -156,9 +150,7 @@ def test_the_example_of_the_page_passes_when_it_is_pasted(tmp_path: Path) -> Non
     assert "1 passed" in run.stdout
 
 
-def test_time_goes_on_by_as_much_as_is_asked_and_assertions_say_when_and_by_how_much(
-    vehicle_sim: Start,
-) -> None:
+def test_time_goes_on_as_asked_and_assertions_say_when_and_by_how_much(vehicle_sim: Start) -> None:
     sim, calls = vehicle_sim(), list[float]()
     with pytest.raises(AssertionError, match="no HEARTBEAT came in"):
         sim.assert_stream_gap(1.0, message="HEARTBEAT")
@@ -204,18 +196,14 @@ def test_in_lockstep_every_tick_waits_for_the_clients_answer_and_not_for_ever(
 
 
 @pytest.mark.parametrize("strict", [True, False])
-def test_what_the_real_one_does_not_survive_fails_the_test_unless_it_is_not_to(
-    vehicle_sim: Start, strict: bool
-) -> None:
+def test_what_real_ones_do_not_survive_fails_if_strict(vehicle_sim: Start, strict: bool) -> None:
     sim = vehicle_sim(ready=True, strict=strict)
     send(sim, command(176, 1, 4), setpoint((NAN, 0.0, -20.0)))
     with pytest.raises(AssertionError, match="SIM:") if strict else nullcontext():
         sim.advance(1.0)
 
 
-def test_a_crash_is_seen_however_short_it_is_and_faults_and_parameters_can_be_set(
-    vehicle_sim: Start,
-) -> None:
+def test_a_crash_is_seen_however_short_faults_and_parameters_are_set(vehicle_sim: Start) -> None:
     sim = vehicle_sim(ready=True)
     sim.set_parameter("GUID_TIMEOUT", 1.5)
     with pytest.raises(KeyError):

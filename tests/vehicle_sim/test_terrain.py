@@ -1,5 +1,4 @@
-"""Both kinds of terrain: what they are by closed form and by scipy, that their bounds hold, and
-how files of them are read.
+"""Both kinds of terrain: that their bounds hold, and how files of them are read.
 
 Metres and degrees are those of pyproj, and nothing changes where 180 becomes -180 degrees.
 """
@@ -8,16 +7,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import documents
 import numpy as np
 import pytest
-import rasterio
+from documents import AREA_M, HEIGHTS_M, STEP_DEG
 from harness import KINDS, Rig, heartbeat, placed
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
-from pyproj import Geod, Transformer
-from rasterio.transform import Affine
-from scipy.interpolate import RegularGridInterpolator
+from pyproj import Transformer
 
 from vehicle_sim.autopilot.earth import Projection
 from vehicle_sim.autopilot.values import Place
@@ -26,8 +23,7 @@ from vehicle_sim.errors import InputError
 from vehicle_sim.geodesy import FloatArray, LocalFrame
 from vehicle_sim.terrain import GridTerrain, PeakRow, PeakTerrain, Terrain
 
-WGS84 = Geod(ellps="WGS84")
-STEP, HALF_M = (1 / 1200, 1 / 1200), 3_000.0
+HALF_M = 3_000.0
 PLACES = ((0.0, 0.0), (36.5, -84.3), (-47.0, 179.99), (62.0, -180.0))
 TERRAINS = st.sampled_from(["maximum", "sum", *PLACES])
 SEEDS = st.integers(0, 10**6)
@@ -41,7 +37,7 @@ def drawn(rng: np.random.Generator, kind: Kind) -> tuple[Terrain, list[PeakRow]]
 
         def nodes(latitude: FloatArray, longitude: FloatArray) -> tuple[FloatArray, FloatArray]:
             east_deg = (longitude - kind[1] + 180.0) % 360.0 - 180.0
-            return 0.5 * ROWS - (latitude - kind[0]) / STEP[0], 0.5 * COLUMNS + east_deg / STEP[1]
+            return 0.5 * ROWS - (latitude - kind[0]) / STEP_DEG, 0.5 * COLUMNS + east_deg / STEP_DEG
 
         grid = GridTerrain(
             rng.integers(200, 320, (ROWS, COLUMNS)).astype(np.int16),
@@ -59,51 +55,19 @@ def drawn(rng: np.random.Generator, kind: Kind) -> tuple[Terrain, list[PeakRow]]
     return PeakTerrain(rows, combine=kind, ground_amsl_m=ground_m), rows  # type: ignore[arg-type]
 
 
-@settings(max_examples=15)
-@given(seed=SEEDS, place=st.sampled_from(PLACES))
-def test_the_grid_is_bilinear_in_latitude_and_longitude_and_goes_on_beyond_its_edge(
-    seed: int, place: tuple[float, float]
-) -> None:
+@settings(max_examples=40)
+@given(seed=SEEDS, kind=TERRAINS, size_m=st.sampled_from([19.0, 60.0, 250.0, 400.0]))
+def test_the_highest_of_a_quad_bounds_it_and_is_near(seed: int, kind: Kind, size_m: float) -> None:
     rng = np.random.default_rng(seed)
-    terrain: Any = drawn(rng, place)[0]
-    north, east = rng.uniform(-HALF_M, HALF_M, (2, 200))
-    azimuth, ones = np.degrees(np.arctan2(east, north)), np.ones(200)
-    start = (place[1] * ones, place[0] * ones)
-    longitude, latitude, _ = WGS84.fwd(*start, azimuth, np.hypot(north, east))
-    east_deg = (longitude - place[1] + 180.0) % 360.0 - 180.0
-    rows_deg = (np.arange(ROWS) + 1 - 0.5 * ROWS) * STEP[0]
-    columns_deg = (np.arange(COLUMNS) - 0.5 * COLUMNS) * STEP[1]
-    heights = terrain.heights_m[::-1].astype(float)
-    surface = RegularGridInterpolator((rows_deg, columns_deg), heights)
-    expected = surface(np.stack([latitude - place[0], east_deg], axis=-1))
-    # 1 cm: a way of 250 m between the places of the table bends by 1 mm and slopes are up to 2
-    np.testing.assert_allclose(terrain.height_amsl_m(north, east), expected, rtol=0, atol=0.01)
-    assert terrain.height_at_amsl_m(north[0], east[0]) == pytest.approx(expected[0], abs=0.01)
-    assert terrain.height_at_amsl_m(9e4, -9e4) == terrain.height_at_amsl_m(HALF_M, -HALF_M)
-
-
-# --- bounds ---------------------------------------------------------------------------------------
-
-
-def turned_quads(rng: np.random.Generator, size_m: float, about: list[PeakRow]) -> FloatArray:
-    """Anywhere, and with the tops of peaks in them or just outside.  -> (K, 4, 2)."""
+    terrain, about = drawn(rng, kind)
+    # turned, anywhere, and with the tops of peaks in them or just outside: (K, 4, 2)
     tops = np.array([row[:2] for row in about]).reshape(-1, 2)
     near_tops = tops + rng.uniform(-0.6, 0.6, tops.shape) * size_m
     centres = np.concatenate([rng.uniform(-2_500, 2_500, (20, 2)), near_tops])
     square = np.array([(-1, -1), (-1, 1), (1, 1), (1, -1)]) * size_m / 2
     angle = rng.uniform(-0.3, 0.3)
     turn = np.array([(np.cos(angle), -np.sin(angle)), (np.sin(angle), np.cos(angle))])
-    return np.asarray(centres[:, None] + square @ turn.T)
-
-
-@settings(max_examples=40)
-@given(seed=SEEDS, kind=TERRAINS, size_m=st.sampled_from([19.0, 60.0, 250.0, 400.0]))
-def test_the_highest_of_a_quadrilateral_bounds_what_is_in_it_and_is_near_it(
-    seed: int, kind: Kind, size_m: float
-) -> None:
-    rng = np.random.default_rng(seed)
-    terrain, about = drawn(rng, kind)
-    quads = turned_quads(rng, size_m, about)
+    quads = centres[:, None] + square @ turn.T
     highest, at = terrain.highest_in_quads_amsl_m(quads)
     u, v = (x.ravel() for x in np.meshgrid(np.linspace(0, 1, 61), np.linspace(0, 1, 61)))
     shares = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v])
@@ -122,9 +86,7 @@ def test_the_highest_of_a_quadrilateral_bounds_what_is_in_it_and_is_near_it(
 
 @settings(max_examples=40)
 @given(seed=SEEDS, kind=TERRAINS, cell_m=st.sampled_from([4.0, 200.0]))
-def test_the_lattice_of_lower_bounds_is_not_above_the_terrain(
-    seed: int, kind: Kind, cell_m: float
-) -> None:
+def test_lower_bounds_of_cells_are_below_the_terrain(seed: int, kind: Kind, cell_m: float) -> None:
     rng = np.random.default_rng(seed)
     terrain, _ = drawn(rng, kind)
     begins = rng.uniform(-2_900, -2_000, 2)
@@ -141,103 +103,76 @@ def test_the_lattice_of_lower_bounds_is_not_above_the_terrain(
         assert (lowest >= brute - 25.0).all()
 
 
-# --- files ----------------------------------------------------------------------------------------
-
-FRAME = LocalFrame(latitude_deg=46.5, longitude_deg=8.5)
-AREA = (-2_000.0, 3_000.0, -4_000.0, 1_500.0)
-DATA = np.random.default_rng(3).integers(300, 2_000, (120, 150)).astype(np.int16)
+FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
+HOLES = HEIGHTS_M.astype(np.float32)
+HOLES[100, 119], HOLES[101, 119], HOLES[0, 0] = -9999.0, np.nan, -9999.0
 
 
-def placing(west_deg: float, north_deg: float, turn: float = 0.0, down: float = -1.0) -> Affine:
-    return Affine(STEP[0], turn, west_deg, 0, down * STEP[0], north_deg)
+def read(path: Path, nodata: Any = None, frame: LocalFrame = FRAME) -> GridTerrain:
+    return read_grid(path, frame, AREA_M, nodata)
 
 
-def written(path: Path, data: NDArray[Any] = DATA, **changes: Any) -> Path:
-    """A file whose middle is FRAME's origin."""
-    placed = placing(8.5 - 75 * STEP[0], 46.5 + 60 * STEP[0])
-    profile: dict[str, Any] = {"driver": "GTiff", "crs": "EPSG:4326", "transform": placed}
-    profile |= {"dtype": data.dtype, "count": 1, "height": data.shape[0], "width": data.shape[1]}
-    with rasterio.open(path, "w", **(profile | changes)) as file:
-        file.write(data, 1)
-    return path
-
-
-def read(path: Path, nodata: Any = None) -> GridTerrain:
-    return read_grid(path, FRAME, AREA, nodata)
-
-
-def test_a_point_of_the_file_is_where_the_file_or_its_name_says(tmp_path: Path) -> None:
-    terrain = read(written(tmp_path / "terrain.tif"))
-    for row, column in ((50, 60), (60, 75), (45, 80)):
-        latitude = 46.5 + (60 - row - 0.5) * STEP[0]
-        longitude = 8.5 + (column + 0.5 - 75) * STEP[0]
-        height_m = terrain.height_at_amsl_m(*FRAME.to_local(latitude, longitude))
-        assert height_m == pytest.approx(DATA[row, column], abs=0.1)
+def test_a_tile_of_srtm_is_where_its_name_says_and_goes_on_as_at_its_edge(tmp_path: Path) -> None:
+    """GeoTIFFs are bilinear, and where GDAL places them: tests/sources/test_elevation.py."""
     tile = np.random.default_rng(5).integers(100, 3_000, (1201, 1201)).astype(">i2")
-    path = tmp_path / "N46E008.hgt"  # of SRTM
+    path, frame = tmp_path / "N46E008.hgt", LocalFrame(latitude_deg=46.5, longitude_deg=8.5)
     path.write_bytes(tile.tobytes())
-    there = FRAME.to_local(47.0 - 615 / 1200, 8.0 + 580 / 1200)
-    assert read(path).height_at_amsl_m(*there) == pytest.approx(tile[615, 580], abs=0.1)
-
-
-HOLES = DATA.astype(np.float32)
-HOLES[60, 70], HOLES[61, 70], HOLES[0, 0] = -9999.0, np.nan, -9999.0
+    there = frame.to_local(47.0 - 615 / 1200, 8.0 + 580 / 1200)
+    terrain = read(path, None, frame)
+    assert terrain.height_at_amsl_m(*there) == pytest.approx(tile[615, 580], abs=0.1)
+    assert terrain.height_at_amsl_m(9e4, -9e4) == terrain.height_at_amsl_m(*AREA_M[1:3])
 
 
 def test_what_lies_in_holes_is_what_the_world_says(tmp_path: Path) -> None:
-    path = written(tmp_path / "terrain.tif", HOLES, nodata=-9999.0)
-    assert (read(path, "sea").heights_m == 0.0).sum() == 2
-    assert (read(path, 12.5).heights_m == 12.5).sum() == 2
+    path = tmp_path / "terrain.tif"
+    documents.terrain(path, HOLES, nodata=-9999.0)
+    for nodata, height_m in (("sea", 0.0), (12.5, 12.5)):
+        assert (read(path, nodata).heights_m == height_m).sum() == 2
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
         ({"crs": None}, "north up"),
-        ({"transform": placing(8.4, 46.6, turn=1e-5)}, "north up"),
-        ({"transform": placing(8.4, 46.4, down=1.0)}, "north up"),
-        ({"transform": placing(8.49, 46.55)}, "does not cover [area]"),
-        ({"data": HOLES, "nodata": -9999.0}, "2 points without height"),
+        ({"transform": (STEP_DEG, 1e-5, 7.9, 0.0, -STEP_DEG, 47.1)}, "north up"),
+        ({"transform": (STEP_DEG, 0.0, 7.9, 0.0, STEP_DEG, 46.9)}, "north up"),
+        ({"transform": (STEP_DEG, 0.0, 7.99, 0.0, -STEP_DEG, 47.1)}, "does not cover [area]"),
+        ({"heights_m": HOLES, "nodata": -9999.0}, "2 points without height"),
         (None, "cannot be read"),
     ],
     ids=str,
 )
-def test_what_cannot_be_flown_over_is_refused_in_one_line(
-    tmp_path: Path, changes: dict[str, Any] | None, words: str
-) -> None:
+def test_what_cannot_be_flown_over_is_refused(tmp_path: Path, changes: Any, words: str) -> None:
     path = tmp_path / "terrain.tif"
-    path.write_text("nothing") if changes is None else written(path, **changes)
+    path.write_text("nothing") if changes is None else documents.terrain(path, **changes)
     with pytest.raises(InputError, match=r"^terrain\.file = ") as caught:
         read(path)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-# --- metres and degrees ---------------------------------------------------------------------------
-
-ANYWHERE = {"latitude_deg": st.floats(-80.0, 80.0), "longitude_deg": st.floats(-179.0, 179.0)}
-AWAY = {"north_m": st.floats(-1e5, 1e5), "east_m": st.floats(-1e5, 1e5)}
-
-
-@given(**ANYWHERE, **AWAY)
-def test_frames_are_pyprojs_azimuthal_equidistant_ones_there_and_back(
-    latitude_deg: float, longitude_deg: float, north_m: float, east_m: float
-) -> None:
+@given(
+    here_deg=st.tuples(st.floats(-80.0, 80.0), st.floats(-179.0, 179.0)),
+    away_m=st.tuples(*[st.floats(-1e5, 1e5)] * 2),
+)
+def test_frames_are_pyprojs_equidistant_ones_there_and_back(here_deg: Any, away_m: Any) -> None:
     """The world's on the ellipsoid, an autopilot's on the sphere."""
 
     def flat(latitude: float, longitude: float, earth: str) -> Any:
-        here = f"+proj=aeqd +lat_0={latitude_deg} +lon_0={longitude_deg} +units=m {earth}"
+        here = "+proj=aeqd +lat_0={} +lon_0={} +units=m {}".format(*here_deg, earth)
         there = Transformer.from_crs(f"+proj=longlat +no_defs {earth}", here, always_xy=True)
         return pytest.approx(there.transform(longitude, latitude)[::-1], abs=1e-3)
 
-    frame = LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
-    there = frame.to_geographic(north_m, east_m)
-    assert (north_m, east_m) == flat(*there, "+ellps=WGS84")
-    assert frame.to_local(*there) == pytest.approx((north_m, east_m), abs=1e-6)
-    sphere = Projection(Place(latitude_deg, longitude_deg, 400.0))
-    place = sphere.place(north_m, east_m, -30.0)
-    assert (north_m, east_m) == flat(place.latitude_deg, place.longitude_deg, "+R=6371000")
-    assert sphere.ned_m(place) == pytest.approx((north_m, east_m, -30.0), abs=1e-4)
+    frame = LocalFrame(**placed(here_deg, height=False))
+    there = frame.to_geographic(*away_m)
+    assert away_m == flat(*there, "+ellps=WGS84")
+    assert frame.to_local(*there) == pytest.approx(away_m, abs=1e-6)
+    many = frame.to_geographic_many(*np.array(away_m)[:, None])
+    assert (*many[0], *many[1]) == pytest.approx(there, abs=1e-12)
+    sphere = Projection(Place(*here_deg, 400.0))
+    place = sphere.place(*away_m, -30.0)
+    assert away_m == flat(place.latitude_deg, place.longitude_deg, "+R=6371000")
+    assert sphere.ned_m(place) == pytest.approx((*away_m, -30.0), abs=1e-4)
 
 
 START_DEG = 179.9992
@@ -267,9 +202,7 @@ def over_the_line(kind: Any, autopilot: str, longitude_deg: float) -> tuple[Any,
 
 
 @pytest.mark.parametrize(("autopilot", "kind"), KINDS)
-def test_a_flight_over_the_date_line_is_that_over_any_other_meridian(
-    kind: str, autopilot: str
-) -> None:
+def test_a_flight_over_the_date_line_is_that_over_any_meridian(kind: str, autopilot: str) -> None:
     here, _ = over_the_line(kind, autopilot, START_DEG - 170.0)
     there, places = over_the_line(kind, autopilot, START_DEG)
     assert max(row[2] for row in here) > 140.0  # over the line and the fence's edge

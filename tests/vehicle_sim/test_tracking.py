@@ -10,7 +10,7 @@ import tracked
 from tracked import EIGHTS, FIXED_WING, LOOK_AHEADS, STOPS, WEAVES
 
 approx = pytest.approx
-# --- ArduCopter -----------------------------------------------------------------------------------
+
 
 ONCE_A_SECOND = 1
 LOOSER = {
@@ -48,8 +48,6 @@ def test_a_stream_that_stops_is_flown_on_and_come_back_from_as_measured(row: tra
     assert got.ends_m == approx(row.ends_m, abs=0.5 + 0.05 * row.ends_m)
 
 
-# --- PX4's multicopter ----------------------------------------------------------------------------
-
 SATURATED_M_S = 12.0
 """MPC_XY_VEL_MAX: there the lag grows for as long as one looks, and depends on the start."""
 
@@ -73,9 +71,6 @@ def test_px4_tracks_a_curve_as_the_real_one_does(row: tracked.Eight) -> None:
     assert measured.cross_rms_m == approx(real.cross_rms_m, abs=across_m)
     assert measured.altitude_rms_m <= real.altitude_rms_m + 0.15
     assert measured.speed_m_s == approx(real.speed_m_s, rel=0.035)
-
-
-# --- planes ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.sample(5)

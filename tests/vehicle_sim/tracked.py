@@ -24,7 +24,7 @@ SWING_RAD: Final = 2.404825557695773
 
 
 def _page(name: str) -> str:
-    """Of docs/reference, whose tables are read from it."""
+    """Of docs/lab, whose tables are read from it."""
     return (Path(__file__).parents[2] / f"docs/lab/{name}.md").read_text("utf-8")
 
 
@@ -172,9 +172,7 @@ WEAVES = (
     Weave(10, 1.5, 45, "position", 10, -35.0, 2.2, 3.6),
     Weave(10, 1.5, 45, "pos+vel", 4, -0.3, 1.1, 1.6),
     Weave(10, 1.5, 45, "pos+vel", 10, -0.3, 0.96, 1.4),
-    Weave(10, 1.5, 45, "pos+vel+acc", 20, -0.2, 0.35, 0.55),
-    Weave(10, 1.5, 45, "pos+vel+acc", 4, -0.2, 0.35, 0.55),
-    Weave(10, 1.5, 45, "pos+vel+acc", 2, -0.2, 0.35, 0.55),
+    *(Weave(10, 1.5, 45, "pos+vel+acc", rate_hz, -0.2, 0.35, 0.55) for rate_hz in (20, 4, 2)),
     Weave(10, 1.5, 45, "pos+vel+acc", 1, -0.1, 0.51, 1.1),
     Weave(10, 1.5, 45, "velocity", 10, -6.8, 0.23, 0.36),
     Weave(10, 1.5, 45, "GLOBAL pos+vel", 10, -0.3, 0.96, 1.4),
@@ -197,17 +195,14 @@ def fly_weave(row: Weave) -> Weave:
     target = Target(route, speed_m_s, wave_m=40.0 / math.tau, wave_length_m=40.0 * speed_m_s)
     seen = _flown(it, 54.0, row.rate_hz, lambda k, _: target.tell(it, k * STEP_S, row.kind))
     got = target.left_behind(seen, since_s=40.0)
-    return row._replace(
-        along_m=-got.along_mean_m, off_rms_m=got.cross_rms_m, off_max_m=got.cross_max_m
-    )
+    return Weave(*row[:5], -got.along_mean_m, got.cross_rms_m, got.cross_max_m)
 
 
 Stop = namedtuple("Stop", "kind timeout_s brakes_s still_s furthest_m ends_m")
 """A stream at 10 m/s that ends: seconds and metres from its last setpoint."""
 STOPS = (
     Stop("position", 3.0, None, 6.4, 0.8, 0.0),
-    Stop("pos+vel", 3.0, 3.7, 7.1, 53.7, 30.0),
-    Stop("pos+vel+acc", 3.0, 3.7, 7.1, 53.7, 30.0),
+    *(Stop(kind, 3.0, 3.7, 7.1, 53.7, 30.0) for kind in ("pos+vel", "pos+vel+acc")),
     Stop("velocity", 3.0, 3.7, 7.1, 47.9, 46.9),
     Stop("pos+vel", 1.0, 1.7, 5.0, 33.6, 10.0),
     Stop("velocity", 1.0, 1.7, 5.1, 27.9, 26.9),
@@ -265,19 +260,16 @@ Off = namedtuple("Off", "rms_m most_m speed_m_s")
 """How far off a route a plane flew, and how fast over the ground."""
 
 
+Aim = Callable[[int], object]
+Span = tuple[float, float]
+
+
 def _followed(
-    rig: Rig,
-    route: Sine,
-    aim: Callable[[int], object],
-    *,
-    hz: float,
-    since_s: float,
-    seconds: float,
-    begin: int = 0,
-    age: int = 0,
+    rig: Rig, route: Sine, aim: Aim, hz: float, counts_s: Span, *, begin: int = 0, age: int = 0
 ) -> Off:
-    """Aim from the point nearest to where the vehicle was, so many looks ago."""
-    index = begin
+    """Aim from the point nearest to where the vehicle was, so many looks ago; from when to when it
+    counts how far off it is."""
+    index, (since_s, seconds) = begin, counts_s
 
     def send(_: int, seen: Sequence[Any]) -> None:
         nonlocal index
@@ -321,7 +313,7 @@ def fly_look_ahead(row: LookAhead) -> Off:
         there = route.at[route.ahead(nearest, row.ahead_m)]
         rig.reposition(*_flat(there, 80.0), row.radius_m)
 
-    return _followed(rig, route, send, hz=4.0, since_s=20.0, seconds=100.0, age=AGE)
+    return _followed(rig, route, send, 4.0, (20.0, 100.0), age=AGE)
 
 
 # --- PX4's fixed wing: px4.md 10 ------------------------------------------------------------------
@@ -350,7 +342,7 @@ def fly_fixed(row: FixedWing) -> Off:
     length_m, height_m, asked_m_s = SWING_RAD * math.tau * 100.0, 70.0, 14.0
     route, sent = Sine(SWING_RAD, length_m, length_m, length_m / 6044, math.pi / 2.0), 0
     begins, heading_rad = route.at[_START], float(route.heading_rad[_START])
-    rig = cruising(begins.real, begins.imag, height_m - 2.0, heading_rad)
+    rig = cruising(begins.real, begins.imag, heading_rad)
 
     def send(nearest: int) -> None:
         nonlocal sent
@@ -367,5 +359,4 @@ def fly_fixed(row: FixedWing) -> Off:
         given = ("vel" in row.name) + ("acc" in row.name)
         rig.aim(_flat(at, -height_m), *vectors[:given])
 
-    rate_hz = _told(row.name, "Hz", 10.0)
-    return _followed(rig, route, send, hz=rate_hz, since_s=25.0, seconds=95.0, begin=_START)
+    return _followed(rig, route, send, _told(row.name, "Hz", 10.0), (25.0, 95.0), begin=_START)

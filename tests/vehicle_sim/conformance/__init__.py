@@ -12,15 +12,8 @@ from conformance import lidar, rows, track
 from conformance.flights import Flight, Recording, Side
 from conformance.rows import Comparison, Row
 
-_ALL = (
-    rows.ack_rows,
-    rows.once_rows,
-    rows.state_rows,
-    rows.stream_rows,
-    track.track_rows,
-    track.battery_rows,
-    lidar.lidar_rows,
-)
+_OF_MESSAGES = (rows.ack_rows, rows.once_rows, rows.state_rows, rows.stream_rows)
+_OF_FLIGHT = (track.track_rows, track.battery_rows, lidar.lidar_rows)
 AGREED = {
     "arducopter-guided-global-stream-faults.tlog": (233, 235),
     "arducopter-guided-10mps.tlog": (223, 224),
@@ -44,5 +37,5 @@ def compare(recording: Recording, flight: Flight, simulated: Side) -> list[Row]:
         reasons = (each for each in flight.reasons if each.explains(row))
         return row if row.agrees else row._replace(reason=next(reasons, None))
 
-    made = (row for make in _ALL for row in make(comparison))
+    made = (row for make in (*_OF_MESSAGES, *_OF_FLIGHT) for row in make(comparison))
     return [explained(row) for row in made if not comparison.is_left_out(row.at_s)]

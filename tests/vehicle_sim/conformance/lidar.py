@@ -79,9 +79,8 @@ def _found(side: Side, flight: Flight, posts: Posts) -> Found:
         bogus = empty & (true_m < _REACH_M - _EDGE_M)
         rows += [len(run) for run in _runs(bogus)]
         shares.append(float(bogus.mean()))
-        stales += [
-            float(np.ptp(time_s[run])) for run in _runs(~empty & (true_m > _REACH_M + _EDGE_M))
-        ]
+        stale = ~empty & (true_m > _REACH_M + _EDGE_M)
+        stales += [float(np.ptp(time_s[run])) for run in _runs(stale)]
     found["bogus empties", "longest row"] = max(rows, default=0)
     found["bogus empties", "share of all"] = float(np.mean(shares))
     found["stale echo", "longest"] = max(stales, default=0.0)

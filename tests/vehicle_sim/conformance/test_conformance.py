@@ -50,13 +50,9 @@ def test_the_simulated_autopilot_is_like_the_recorded_one(name: str) -> None:
 
 @pytest.mark.sample(9)
 @EACH
-def test_a_flight_agrees_with_itself_not_with_another_one_and_silence_with_nothing(
-    name: str,
-) -> None:
-    flight, other = (
-        recorded(name),
-        recorded("arducopter-guided-10mps.tlog" if name == COPTER else COPTER),
-    )
+def test_a_flight_agrees_with_itself_not_with_another_and_silence_with_nothing(name: str) -> None:
+    flight = recorded(name)
+    other = recorded("arducopter-guided-10mps.tlog" if name == COPTER else COPTER)
     rows = rows_of(flight, flight.side)
     assert len(rows) > 150
     assert {row.difference for row in rows} == {0.0}

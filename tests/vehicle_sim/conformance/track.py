@@ -219,17 +219,13 @@ def track_rows(comparison: Comparison) -> Iterator[Row]:
 
 
 def _apart(
-    kind: str,
-    measures: Sequence[Measure],
-    nearness: Sequence[Tolerances],
-    real: Sequence[Any],
-    simulated: Sequence[Any],
+    kind: str, measures: Sequence[Measure], nearness: Sequence[Tolerances], *sides: Sequence[Any]
 ) -> Iterator[tuple[float, str]]:
     """Of these seconds the middle one; of the track the worst but one: a step of one side may come
     a moment later on the other, which is a matter of times.
     """
-    pairs = [pair for pair in zip(real, simulated, nearness, strict=True) if None not in pair]
-    alone, without = (len(side) - side.count(None) - len(pairs) for side in (real, simulated))
+    pairs = [pair for pair in zip(*sides, nearness, strict=True) if None not in pair]
+    alone, without = (len(side) - side.count(None) - len(pairs) for side in sides)
     apart = sorted(max(measure.apart(*pair) for measure in measures) for pair in pairs)
     if max(alone, without) > _SILENT_S:
         yield math.inf, f"silent for {alone} s" if alone > without else "the real one is silent"
