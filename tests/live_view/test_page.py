@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from golden import GOLDENS, run_folder_of
 from PIL import Image
 from playwright.sync_api import Page, expect, sync_playwright
 from rich.console import Console
@@ -40,14 +41,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def grow(folder: Path, run_dir: Path) -> Grow:
-    shutil.copy(run_dir / "mission.toml", folder)
+def grow(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Grow:
+    whole = run_folder_of(GOLDENS / "copter-loses-gps", tmp_path_factory.mktemp("flown") / "run")
+    shutil.copy(whole / "mission.toml", folder)
 
     def to(share: float) -> None:
         """Of the inputs more: the ground is read from them, and is shown once it has caught up."""
         for name in _GROWING:
             more = share + 0.1 * (name == "inputs.msgpack")
-            data = (run_dir / name).read_bytes()[: round(more * (run_dir / name).stat().st_size)]
+            data = (whole / name).read_bytes()[: round(more * (whole / name).stat().st_size)]
             with (folder / name).open("ab") as file:
                 file.write(data[file.tell() :])
 

@@ -24,10 +24,11 @@ from companion.mavlink.dialect import Message
 from companion.replay.differences import message_of
 from companion.replay.feed import flown_mission, outputs
 from companion.telemetry.inputs import FILE, InputsFile
-from companion.telemetry.run_folder import journal_line
+from companion.telemetry.run_folder import RunFolder, journal_line
 
 GOLDENS: Final = Path(__file__).parent / "goldens"
 NAMES: Final = tuple(sorted(path.parent.name for path in GOLDENS.glob("*/why.md")))
+EPOCH_US: Final = 1_700_000_000_000_000
 TOLERANCE: Final = 1e-5
 """Metres, and metres a second: ten times the nudge (tests/nudge.py)."""
 _STEP: Final = 2.0**-23
@@ -64,6 +65,19 @@ def _fields(message: Message) -> dict[str, Any]:
     values: dict[str, Any] = json.loads(json.dumps(message.to_dict(), default=repr))
     values.pop("mavpackettype")
     return {name: None if value != value else value for name, value in values.items()}
+
+
+def run_folder_of(golden: Path, folder: Path) -> Path:
+    """The run folder that such a flight has left, as far as it goes: told again what it was."""
+    text = (golden / "mission.toml").read_text(encoding="utf-8")
+    with RunFolder(folder, mission_toml=text, epoch_us=EPOCH_US, durable=False) as run:
+        run.header({"mission": golden.name, "seed": 1, "profile": "flight", "lockstep": True})
+        for told, _, output in outputs(golden, flown_mission(golden)):
+            run.inputs([told])
+            if output is not None:
+                run.frames(output.record)
+                run.entries(output.journal)
+    return folder
 
 
 def expected(folder: Path) -> list[dict[str, Any]]:
