@@ -15,6 +15,7 @@ from tlog import read_by_pymavlink
 
 from companion.errors import InputError
 from companion.mission.journal import VERSION
+from companion.telemetry.inputs import InputsFile
 from companion.telemetry.run_folder import RunFolder, resume_head, whole_records
 
 EPOCH_US = 1_700_000_000_000_000  # 2023-11-14 22:13:20 UTC
@@ -215,3 +216,14 @@ def test_a_log_of_many_hours_is_looked_through_in_little_memory(tmp_path: Path) 
     finally:
         tracemalloc.stop()
     assert path.stat().st_size == len(whole)
+
+
+def test_inputs_that_grow_while_they_are_read_are_no_torn_ones(folder: RunFolder) -> None:
+    """As the live view reads them."""
+    folder.inputs([("stop",)])
+    inputs = InputsFile(folder.path / "inputs.msgpack")
+    reading = iter(inputs)
+    assert next(reading) == ("stop",)
+    folder.inputs([("stop",)])
+    assert list(reading) == [("stop",)]
+    assert inputs.torn_bytes == 0
