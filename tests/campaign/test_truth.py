@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from planning import LARGE, spline, zone_distance_m
+from planning import LARGE, hills, spline, zone_distance_m
 from scipy.optimize import minimize
 
 from companion.campaign import drawn_world, judge, truth
-from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain
+from companion.world.terrain import ArrayTerrain
 from companion.world.zones import CircleZone, PolygonZone
 
 FloatArray = NDArray[np.float64]
@@ -20,7 +20,7 @@ BEND_1_M = 2.0 / 3.0 * H_M / R2_M**2
 """The curvature that a control polygon begins with: planner-numbers E."""
 MOUNTAINS = ((0.0, 0.0, 5_000.0, 4e3, 3e3), (7e3, 2e3, 3_800.0, 3e3, 5e3))
 TOWER = ((3.0, -4.0, 150.0, 8.0, 8.0),)
-TERRAIN = PeakTerrain(peaks=tuple(Peak(*row) for row in MOUNTAINS), ground_amsl_m=0.0)
+TERRAIN = hills(*MOUNTAINS)
 WORLD = drawn_world.bundled("environment-2")
 LIMITS = replace(LARGE, north_m=(-20e3, 20e3), east_m=(-20e3, 20e3),
                  tracking_error_m=15.0, navigation_error_m=0.0)  # fmt: skip
@@ -62,8 +62,7 @@ def test_the_distance_to_mountains_and_towers_is_the_least_to_their_surface(
     north_m, east_m = rng.uniform(-wide_m, wide_m, (2, 200))
     up_m = height_m(table, north_m, east_m) + rng.uniform(-0.2, 1.5, 200) * up_to_m
     points = np.stack([north_m, east_m, up_m], axis=-1)
-    terrain = PeakTerrain(peaks=tuple(Peak(*row) for row in peaks), ground_amsl_m=0.0)
-    found = truth.terrain_distance_m(points, terrain, up_to_m)
+    found = truth.terrain_distance_m(points, hills(*peaks), up_to_m)
     expected = np.minimum([clearance_m(point, table) for point in points], up_to_m)
     under = expected < 0.0
     np.testing.assert_allclose(found[~under], expected[~under], atol=2e-2)

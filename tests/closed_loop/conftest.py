@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from flights import FAULTS, HILLS, HILLS_MISSION, RUNNING, SEED, SOON, Recorded, flown_here
+from flights import FAULTS, HILLS, RUNNING, SEED, Recorded, flown_here, mission_file
 
 
 @pytest.fixture(autouse=True)
@@ -17,12 +17,7 @@ def _none_is_left_running() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def hills(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     """The flight over the hills, in this process; who looks at it is of the group `hills`."""
-    folder, text = tmp_path_factory.mktemp("hills"), Path(HILLS_MISSION).read_text("utf-8")
-    for was, now in (
-        *(("north_m = 26000.0", "north_m = 18000.0"), ("24000.0", "20000.0")),  # past the mountain
-        ("[planner]", f"[planner]\nevaluations = {SOON}"),
-    ):
-        assert was in text
-        text = text.replace(was, now, 1)
-    (folder / "mission.toml").write_text(text, encoding="utf-8")
-    return flown_here(folder / "run", HILLS, folder / "mission.toml", FAULTS, SEED)
+    folder = tmp_path_factory.mktemp("hills")
+    targets = [{"north_m": 18_000.0, "east_m": 20_000.0}]  # past the mountain
+    mission = mission_file(Path(HILLS).parent, folder / "mission.toml", targets=targets)
+    return flown_here(folder / "run", HILLS, mission, FAULTS, SEED)

@@ -148,8 +148,11 @@ def warm_up() -> None:
     subprocess.run([sys.executable, "-c", load], check=True, env=ENVIRONMENT, timeout=600)
 
 
-def mission_file(name: str, to: Path, **tables: Any) -> Path:
-    """A bundled mission with other values in some of its tables, written to a file; None: none."""
+def mission_file(name: str | Path, to: Path, **tables: Any) -> Path:
+    """A mission with other values in some of its tables, written to a file; None: none.
+
+    name: of the bundled one, or the folder that it is in.
+    """
     table = tomllib.loads((ENVIRONMENTS / name / "mission.toml").read_text(encoding="utf-8"))
     table["planner"]["evaluations"] = SOON
     to.write_text(toml_text(merged(table, tables)), encoding="utf-8")

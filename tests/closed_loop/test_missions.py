@@ -4,28 +4,30 @@ A plane that is to land, a plan for a copter without a radar, a fence that is dr
 garden that nobody knows, by a lidar.
 """
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import documents
 import numpy as np
 import pytest
 import shapely
 from flights import ENVIRONMENTS, NIGHTLY, SOON, flown_here, flown_with, mission_file
+from harness import item
 from pymavlink.dialects.v20 import all as wire
 from short_flight import replayed
 
 from companion.config import load_mission
-from companion.mission.mission import Mission
 from companion.session import Session
 from companion.sources.files import toml_text
-from vehicle_sim.plans import PlanItem, PlanKind
+from vehicle_sim.plans import PlanKind
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import flat_world, read_world
 
 pytestmark = pytest.mark.closed_loop
+VERTEX = wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
+CIRCLE = wire.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION
 
 
 @pytest.mark.parametrize(
@@ -56,9 +58,12 @@ def test_a_plane_passes_its_target_and_ends_where_it_said_before_its_take_off(
     assert wire.MAV_CMD_DO_REPOSITION not in acknowledged  # one that is taken is not told of
 
 
-LAUNCH = (-35.3632621, 149.1652374, 584.0)
-STATED = 'plan = "field.plan"\n[vehicle]\nscanner = false\n[terrain]\nhighest_amsl_m = 584.0\n'
-STATED += f"[planner]\nevaluations = {SOON}\n"
+STATED = f"""
+plan = "x.plan"
+vehicle = {{ scanner = false }}
+terrain = {{ highest_amsl_m = 400.0 }}
+planner = {{ evaluations = {SOON} }}
+"""
 HEIGHTS_M = (40.0, 60.0)
 """Above launch, of one waypoint to the north of the other."""
 
@@ -68,23 +73,17 @@ def test_a_plan_over_stated_ground_is_flown_at_its_altitudes(
     tmp_path: Path, autopilot: Any
 ) -> None:
     """Without a radar; where its ground is not stated either: `tests/mavlink/test_preflight.py`."""
-    latitude_deg, longitude_deg, home_m = LAUNCH
-    items: list[dict[str, Any]] = [
-        {"type": "SimpleItem", "command": 16, "frame": 3,
-         "params": [0, 0, 0, None, latitude_deg + 3e-5 * height_m, longitude_deg, height_m]}
-        for height_m in HEIGHTS_M
-    ]  # fmt: skip
-    items.append({"type": "SimpleItem", "command": 20, "frame": 2, "params": [0] * 7})
-    plan = {"plannedHomePosition": LAUNCH, "vehicleType": 2, "hoverSpeed": 8, "items": items}
+    stops = [documents.waypoint(3e-5 * height_m, height_m) for height_m in HEIGHTS_M]
+    home = documents.item(20, *[0] * 7, frame=2)
+    documents.written(tmp_path, "plan", content=documents.plan(*stops, home, hoverSpeed=8))
     (tmp_path / "mission.toml").write_text(STATED, encoding="utf-8")
-    (tmp_path / "field.plan").write_text(json.dumps({"fileType": "Plan", "mission": plan}))
-    place = {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg, "heading_deg": 0.0}
-    world = flat_world("copter", autopilot, altitude_amsl_m=home_m, **place)
+    launch = {"latitude_deg": 47.0, "longitude_deg": 8.0, "heading_deg": 0.0}
+    world = flat_world("copter", autopilot, altitude_amsl_m=400.0, **launch)
     session = Session(load_mission(str(tmp_path / "mission.toml")), seed=1, lockstep=True)
     flight = flown_with(tmp_path / "run", session, Simulation(world, seed=1))
     assert flight.outcome == "arrived"
-    assert "mission field" in flight.says
-    t_s, up_m = np.array([(row["t_s"], row["altitude_amsl_m"] - home_m) for row in flight.truth]).T
+    assert "mission x" in flight.says
+    t_s, up_m = np.array([(row["t_s"], row["altitude_amsl_m"] - 400.0) for row in flight.truth]).T
     reached_s = [each["t_s"] for each in flight.entries("say") if each["text"] == "target reached"]
     assert np.interp(reached_s, t_s, up_m)[:2] == pytest.approx(HEIGHTS_M, abs=3.0)
     assert up_m.max() < 65.0
@@ -94,25 +93,12 @@ def test_a_plan_over_stated_ground_is_flown_at_its_altitudes(
 # --- a fence that is drawn in flight; by upload: `tests/interop`, `tests/vehicle_sim`
 
 ADOPTED_S = 10.0
-BOX_M = (-150.0, 450.0, -150.0, 500.0)
-"""South, north, west and east of what is never left."""
+STAYED_IN = shapely.box(-150.0, -150.0, 450.0, 500.0)
+"""North and east of what is never left."""
 ENDS_NE_M = (300.0, 50.0), (250.0, 350.0)
 BEFORE, LATER = (150.0, 25.0, 40.0), (275.0, 200.0, 40.0)
 """North, east and radius of what is kept out of, metres: on the straight ways to the first and to
 the second target; that is drawn when the first is 20 m away."""
-
-
-def items_of(mission: Mission, *circles: tuple[float, float, float]) -> tuple[PlanItem, ...]:
-    """A fence as the vehicle holds it: stay in the box, keep out of the circles."""
-    south, north, west, east = BOX_M
-    corners = [(south, west), (south, east), (north, east), (north, west)]
-    shapes = [(wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION, 4.0, place) for place in corners]
-    shapes += [(wire.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION, size, at) for *at, size in circles]
-    items = []
-    for command, size, place in shapes:
-        x, y = (round(float(deg) * 1e7) for deg in mission.frame.to_geodetic_deg(*place))
-        items.append(PlanItem(frame=0, command=command, parameters=(size, 0.0, 0.0, 0.0), x=x, y=y))
-    return tuple(items)
 
 
 def test_the_true_track_keeps_away_from_what_a_fence_has_before_and_gets_in_flight(
@@ -120,18 +106,24 @@ def test_the_true_track_keeps_away_from_what_a_fence_has_before_and_gets_in_flig
 ) -> None:
     """A plane: the golden flight `plane-meets-new-fence`."""
     mission = load_mission("sitl-px4", settings=[f"planner.evaluations={SOON}"])
-    drawn_s = list[float]()
-    mission = replace(mission, targets_ne_m=ENDS_NE_M)
+    mission, drawn_s = replace(mission, targets_ne_m=ENDS_NE_M), list[float]()
     session = Session(mission, seed=1, lockstep=True)
     vehicle = Simulation(read_world(ENVIRONMENTS / "sitl-px4" / "world.toml"), seed=1)
-    vehicle.plans[PlanKind.FENCE] = items_of(mission, BEFORE)
+    home_deg = mission.frame.latitude_deg, mission.frame.longitude_deg
+    corners = STAYED_IN.exterior.coords[:4]
+    box = [item(home_deg, VERTEX, north, east, 0.0, 4.0, frame=0) for north, east in corners]
+    before, later = (
+        item(home_deg, CIRCLE, north, east, 0.0, radius_m, frame=0)
+        for north, east, radius_m in (BEFORE, LATER)
+    )
+    vehicle.plans[PlanKind.FENCE] = (*box, before)
 
     def look() -> bool:
         here = session.state.vehicle.position_nea_m
-        is_near = here is not None and math.dist(here[:2], mission.targets_ne_m[0]) < 20.0
+        is_near = here is not None and math.dist(here[:2], ENDS_NE_M[0]) < 20.0
         if is_near and not drawn_s:
             drawn_s.append(vehicle.now_us * 1e-6)
-            vehicle.plans[PlanKind.FENCE] = items_of(mission, BEFORE, LATER)
+            vehicle.plans[PlanKind.FENCE] = (*box, before, later)
         return False
 
     flight = flown_with(tmp_path, session, vehicle, stop_asked=look)
@@ -139,15 +131,14 @@ def test_the_true_track_keeps_away_from_what_a_fence_has_before_and_gets_in_flig
     assert flight.says.count("target reached") == 2
     known_s = next(each["t_s"] for each in flight.journal if len(each.get("zones", ())) == 3)
     assert known_s - drawn_s[0] <= ADOPTED_S
-    keys = ("t_s", "north_m", "east_m")
-    t_s, north_m, east_m = np.array([[row[key] for key in keys] for row in flight.truth]).T
+    track = shapely.points([(row["north_m"], row["east_m"]) for row in flight.truth])
+    assert shapely.contains(STAYED_IN, track).all()
     safety_m = mission.task.settings.safety_distance_m
-    for north, east, radius_m in (BEFORE, LATER):
-        away_m = np.hypot(north_m - north, east_m - east) - radius_m
+    for *middle, radius_m in (BEFORE, LATER):
+        away_m = shapely.distance(track, shapely.Point(middle)) - radius_m
         assert away_m.min() >= safety_m
-    assert np.interp(drawn_s[0], t_s, away_m) > 2.0 * safety_m, "drawn too late for anybody"
-    assert BOX_M[0] <= north_m.min() <= north_m.max() <= BOX_M[1]
-    assert BOX_M[2] <= east_m.min() <= east_m.max() <= BOX_M[3]
+    then = next(k for k, row in enumerate(flight.truth) if row["t_s"] >= drawn_s[0])
+    assert away_m[then] > 2.0 * safety_m, "drawn too late for anybody"
 
 
 # --- a garden that nobody knows: trees, and a wall with a gap

@@ -153,11 +153,6 @@ class Target:
             self._moments[which] = _flown(*PERSONALITIES[which])
         return self._moments[which]
 
-    def prepare(self) -> None:
-        """Fly before the first input."""
-        for which in range(len(PERSONALITIES)):
-            self.moments(which)
-
     def play(self, data: bytes) -> None:
         """Let one input run; an exception, a hang or nonsense that is sent is a finding."""
         reader = Reader(data)

@@ -47,9 +47,6 @@ class Target:
         self._vehicles: dict[int, Simulation] = {}
         self._inputs = 0
 
-    def prepare(self) -> None:
-        """Vehicles are made when they are first needed."""
-
     def vehicle(self, which: int) -> Simulation:
         self._inputs += 1
         if self._inputs % _FRESH_AFTER == 0:
@@ -84,7 +81,15 @@ class Target:
                 case 4:
                     vehicle.receive(link, command(reader, COMMANDS, _STATION, (1, 1)))
                 case 5:
-                    vehicle.receive(link, _setpoint(reader))
+                    frame = FRAMES[reader.byte() % len(FRAMES)]
+                    mask = MASKS[reader.byte() % len(MASKS)]
+                    values = [reader.value() for _ in range(11)]
+                    made: Any = mavlink.MAVLink_set_position_target_local_ned_message
+                    if reader.byte() % 2:
+                        made = mavlink.MAVLink_set_position_target_global_int_message
+                        values[:2] = (EDGES_E7[reader.byte() % len(EDGES_E7)] for _ in range(2))
+                    setpoint = made(0, 1, 1, frame, mask, *values)
+                    vehicle.receive(link, bytes(setpoint.pack(_STATION)))
                 case 6:
                     names = list(vehicle.parameters)
                     name = names[(reader.byte() << 8 | reader.byte()) % len(names)].encode()
@@ -125,14 +130,3 @@ def check(vehicle: Simulation) -> None:
     assert abs(flown.longitude_deg) <= 180.0
     assert vehicle.contact.ground_amsl_m - 41.0 <= flown.altitude_amsl_m < 2e6
     assert 0.0 <= flown.throttle <= 1.0
-
-
-def _setpoint(reader: Reader) -> bytes:
-    """Of either kind."""
-    frame, mask = FRAMES[reader.byte() % len(FRAMES)], MASKS[reader.byte() % len(MASKS)]
-    values = [reader.value() for _ in range(11)]
-    made: Any = mavlink.MAVLink_set_position_target_local_ned_message
-    if reader.byte() % 2:
-        made = mavlink.MAVLink_set_position_target_global_int_message
-        values[:2] = (EDGES_E7[reader.byte() % len(EDGES_E7)] for _ in range(2))
-    return bytes(made(0, 1, 1, frame, mask, *values).pack(_STATION))

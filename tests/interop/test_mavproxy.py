@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from processes import Vehicle, away_m, height_m, place
+from processes import away_m, height_m, place
 from programs import BIN, Program, free_port
 
 from vehicle_sim.autopilot.arducopter import FIRMWARE
@@ -42,27 +42,6 @@ PLANS = {
 KINDS = {"wp": "MISSION", "fence": "FENCE", "rally": "RALLY"}
 
 
-@pytest.fixture
-def connect(fly: Any, mavproxy: Any) -> Any:
-    """A vehicle, and a MAVProxy that has found it over this kind of link."""
-
-    def start(how: str, *arguments: object, speedup: float) -> tuple[Vehicle, Program]:
-        # what it fetches as a file it asks for once: of a fast vehicle the refusal may be lost
-        plainly = () if speedup < 20 else ("--cmd=set param_ftp False",)
-        here = f"127.0.0.1:{free_port(socket.SOCK_STREAM if how == 'tcpin' else socket.SOCK_DGRAM)}"
-        if how == "udpout":
-            ground = mavproxy(f"udp:{here}", *plainly)
-            ground.expect("Waiting for heartbeat")
-        vehicle = fly("--connect", f"{how}:{here}", *arguments, speedup=speedup)
-        if how != "udpout":
-            ground = mavproxy(f"{'tcp' if how == 'tcpin' else 'udpout'}:{here}", *plainly)
-        ground.expect("online system 1")
-        ground.type("set streamrate 2")  # which makes it ask for streams now, not in 15 s
-        return vehicle, ground
-
-    return start
-
-
 def ends(ground: Program) -> None:
     """Hang up; MAVProxy ends by itself, with 1 as always (and its threads may trip then)."""
     assert "Traceback" not in ground.transcript
@@ -85,9 +64,14 @@ def items(file: Path) -> list[list[float]]:
 
 
 def test_a_copter_is_refused_armed_guided_and_flies_a_mission_home(
-    connect: Any, tmp_path: Path
+    fly: Any, mavproxy: Any, tmp_path: Path
 ) -> None:
-    vehicle, ground = connect("udpout", speedup=10)
+    here = f"127.0.0.1:{free_port()}"
+    ground = mavproxy(f"udp:{here}")
+    ground.expect("Waiting for heartbeat")
+    vehicle = fly("--connect", f"udpout:{here}", speedup=10)
+    ground.expect("online system 1")
+    ground.type("set streamrate 2")  # which makes it ask for streams now, not in 15 s
     ground.ask("mode GUIDED", "DO_SET_MODE: ACCEPTED")
     ground.ask("arm throttle", "FAILED(.|\n)*Need Position|Need Position(.|\n)*FAILED")
     loads(ground, "wp", tmp_path)
@@ -113,9 +97,14 @@ def test_a_copter_is_refused_armed_guided_and_flies_a_mission_home(
     ends(ground)
 
 
-def test_parameters_and_plans_come_back_as_they_went(connect: Any, tmp_path: Path) -> None:
+def test_parameters_and_plans_come_back_as_they_went(
+    fly: Any, mavproxy: Any, tmp_path: Path
+) -> None:
     """Not much faster than real time: the vehicle waits 8 s of its own for each item."""
-    vehicle, ground = connect("tcpin", speedup=2)
+    here = f"127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+    vehicle = fly("--connect", f"tcpin:{here}", speedup=2)
+    ground = mavproxy(f"tcp:{here}")
+    ground.expect("online system 1")
     ground.expect(r"Saved \d+ parameters to .*\n")
     [count] = re.findall(r"Received (\d+) parameters", ground.transcript)
     assert int(count) == len(FIRMWARE.table)

@@ -2,7 +2,6 @@
 
 import hashlib
 import struct
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +12,11 @@ from tlog import read_by_pymavlink
 
 from companion.geodesy import FloatArray
 from companion.mavlink.dialect import Message
-from companion.telemetry.logs import Log, Odd, open_log
+from companion.telemetry.logs import Odd, open_log
 
 LOGS = [recording(name) for name in NAMES if name.endswith(".tlog")]
 COPTER, PLANE = "arducopter-gps-loss", "arduplane-guided-reposition"
 PX4 = "px4-offboard-short"  # the .ulg was recorded beside the .tlog, a .bin is made of that
-NIGHTLY = pytest.param(PLANE, marks=pytest.mark.nightly)
-EACH = pytest.mark.parametrize("name", [COPTER, NIGHTLY, PX4])
 FIX = "time_usec fix_type lat lon alt eph epv vel satellites_visible h_acc"
 Told = list[tuple[int, Message]]
 """What a log tells: microseconds, and message."""
@@ -43,25 +40,6 @@ def test_a_recorded_log_is_read_as_pymavlink_reads_it(path: Path) -> None:
 # --- one flight in two logs
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("logs")
-
-
-@cache
-def both(name: str, folder: Path) -> tuple[Told, Told, Log]:
-    """The flight as its autopilot sent it, as its other log tells it, and that log."""
-    sent = messages_of(open_log(recording(f"{name}.tlog")).records())
-    path = folder / f"{name}.bin"
-    if name == PX4:
-        path = recording(f"{name}.ulg")
-    else:
-        path.write_bytes(bin_of(recording(f"{name}.tlog")))
-    log = open_log(path)
-    ours = messages_of(log.records())
-    return [each for each in sent if each[1].get_srcComponent() == 1], ours, log
-
-
 def table(pairs: Told, kind: str, fields: str) -> FloatArray:
     """A line for each message of a kind, its time in seconds and its fields.  (M, 1 + F)."""
     rows = [
@@ -83,11 +61,21 @@ def apart(sent: Told, ours: Told, kind: str, fields: str) -> FloatArray:
     return np.column_stack([mine[:, 0] - theirs[:, 0], np.abs(theirs - mine)[:, 2:]])
 
 
-@EACH
-def test_positions_and_fixes_of_the_same_moment_are_as_they_were_sent(
-    name: str, folder: Path
-) -> None:
-    sent, ours, _ = both(name, folder)
+@pytest.mark.parametrize("name", [COPTER, pytest.param(PLANE, marks=pytest.mark.nightly), PX4])
+def test_the_other_log_of_a_flight_tells_it_as_it_was_sent(name: str, tmp_path: Path) -> None:
+    """Positions and fixes of the same moment; and to the last byte as it was when that was seen.
+
+    So are modes, arming, ground, estimator, parameters, texts, battery and date.
+    """
+    path = recording(f"{name}.ulg") if name == PX4 else tmp_path / "flight.bin"
+    if name != PX4:
+        path.write_bytes(bin_of(recording(f"{name}.tlog")))
+    heard = messages_of(open_log(recording(f"{name}.tlog")).records())
+    sent = [each for each in heard if each[1].get_srcComponent() == 1]
+    log = open_log(path)
+    records = list(log.records())
+    stream = b"".join(struct.pack(">Q", time_us) + frame for time_us, frame in records)
+    ours = messages_of(records)
     fields = "time_boot_ms lat lon alt vx vy vz" + " relative_alt hdg" * (name != PX4)
     off = apart(sent, ours, "GLOBAL_POSITION_INT", fields)
     assert len(off) > 900
@@ -101,15 +89,6 @@ def test_positions_and_fixes_of_the_same_moment_are_as_they_were_sent(
     else:
         off[:, -1] = np.minimum(off[:, -1], 36_000 - off[:, -1])  # a heading goes round
         assert off[:, 1:].max() <= 1  # the last digit of the wire
-
-
-@EACH
-def test_all_else_is_as_it_was_when_it_was_held_against_what_was_sent(
-    name: str, folder: Path
-) -> None:
-    """Modes, arming, ground, estimator, parameters, texts, battery and date: to the last byte."""
-    _, _, log = both(name, folder)
-    stream = b"".join(struct.pack(">Q", time_us) + frame for time_us, frame in log.records())
     assert (log.systems, log.system_id, log.missing()) == ((1,), 1, {})
     assert counts(log) == ({Odd.MADE_ESTIMATOR: 1} if name == PX4 else {})
     assert hashlib.sha256(stream).hexdigest()[:16] == STREAMS[name]

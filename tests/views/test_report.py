@@ -4,7 +4,6 @@ import json
 import math
 import re
 import shutil
-import struct
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
@@ -21,7 +20,7 @@ from matplotlib.patches import Circle
 from planning import column_distance_m
 from pymavlink.dialects.v20 import all as wire
 from recorded import EPOCH_US
-from tlog import frames_of, messages
+from tlog import frames_of, messages, written
 
 from companion.config import load_mission
 from companion.geodesy import FloatArray
@@ -112,7 +111,7 @@ def test_the_numbers_are_those_of_the_positions_from_the_end_of_the_climb_to_the
 
 
 def test_times_without_a_fix_and_gaps_of_setpoints_are_those_of_the_log(copy: Path) -> None:
-    codec, log, sent_s = wire.MAVLink(None, srcSystem=1, srcComponent=1), b"", list[float]()
+    codec, log, sent_s = wire.MAVLink(None, 1, 1), list[tuple[int, bytes]](), list[float]()
     for at_us, m in frames_of((copy / "flight.tlog").read_bytes()):
         time_s, sender = (at_us - EPOCH_US) * 1e-6, m.get_srcComponent()
         if m.get_type() == "GPS_RAW_INT":
@@ -124,8 +123,8 @@ def test_times_without_a_fix_and_gaps_of_setpoints_are_those_of_the_log(copy: Pa
             if 50.0 <= time_s < 51.5:
                 continue
             sent_s.append(time_s)
-        log += struct.pack(">Q", at_us) + bytes(m.get_msgbuf())
-    (copy / "flight.tlog").write_bytes(log)
+        log.append((at_us, bytes(m.get_msgbuf())))
+    written(copy / "flight.tlog", log)
     facts = facts_of(copy)
     assert facts.without_fix_s == pytest.approx(10.0, abs=1.0)
     flying_s = np.array(sent_s)[np.array(sent_s) > 45.0]

@@ -98,6 +98,7 @@ def test_geopandas_reads_every_feature_and_position_of_the_geojson_in_wgs84(
     zones = {"target": 1, "rally": 1, "keep_in": 1, "keep_out": 2}
     flown = {"track": len(PHASES), "subpath": 2, "event": 2, "radar": len(mission.task.radars)}
     assert table["kind"].value_counts().to_dict().items() >= (zones | flown).items()
+    assert list(table[table["what"] == "hold"]["why"]) == ["paused by a person"]
     tracks = table[table["kind"] == "track"]
     assert list(tracks["phase"]) == PHASES
     rows = {tuple(np.round(row, 7)) for line in tracks.geometry for row in line.coords}
