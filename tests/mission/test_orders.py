@@ -65,6 +65,17 @@ CARRIED_OUT: dict[OrderKind, tuple[Step, ...]] = {
 """What is so of a vehicle that does what was ordered, within a minute."""
 
 
+def test_who_is_paused_on_the_way_up_climbs_on_before_anything_is_planned() -> None:
+    """From below the band nothing can be planned: it would be given up."""
+    craft = Craft().fly_to(Phase.TAKING_OFF)
+    floor_m, _ = craft.state.task.band_amsl_m
+    told(craft, 0.2, PAUSE, Reason.PAUSED, 5.0)
+    assert HOME_AMSL_M < craft.here[2] < floor_m
+    told(craft, CONTINUE).run_until(lambda it: it.state.flight.plan_id > 0, 60.0)
+    assert craft.here[2] > floor_m - 5.0  # as near as it begins to look
+    told(craft, Phase.ARRIVED)
+
+
 @pytest.mark.parametrize("state", [*SITUATIONS][1:])
 @pytest.mark.parametrize("kind", OrderKind, ids=lambda kind: kind.name)
 def test_an_order_is_accepted_where_it_is_carried_out_and_what_is_accepted_is_done(
