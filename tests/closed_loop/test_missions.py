@@ -75,7 +75,7 @@ def test_a_plan_over_stated_ground_is_flown_at_its_altitudes(
     """Without a radar; where its ground is not stated either: `tests/mavlink/test_preflight.py`."""
     stops = [documents.waypoint(3e-5 * height_m, height_m) for height_m in HEIGHTS_M]
     home = documents.item(20, *[0] * 7, frame=2)
-    documents.written(tmp_path, "plan", content=documents.plan(*stops, home, hoverSpeed=8))
+    documents.written(tmp_path, "plan", content=documents.plan(*stops, home, speed_m_s=8))
     (tmp_path / "mission.toml").write_text(STATED, encoding="utf-8")
     launch = {"latitude_deg": 47.0, "longitude_deg": 8.0, "heading_deg": 0.0}
     world = flat_world("copter", autopilot, altitude_amsl_m=400.0, **launch)

@@ -69,9 +69,9 @@ def waypoint(
     return item(16, 0, 0, 0, None, 47.0 + north_deg, 8.0, altitude_m, frame=frame, **more)
 
 
-def plan(*items: Any) -> dict[str, Any]:
+def plan(*items: Any, speed_m_s: float = 5) -> dict[str, Any]:
     """A plan of a copter without zones."""
-    mission = {"version": 2, "vehicleType": 2, "hoverSpeed": 5, "items": list(items)}
+    mission = {"version": 2, "vehicleType": 2, "hoverSpeed": speed_m_s, "items": list(items)}
     mission["plannedHomePosition"] = [47.0, 8.0, 400]
     fence = {"circles": [], "polygons": [], "version": 2}
     rally = {"points": [], "version": 2}

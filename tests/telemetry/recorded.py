@@ -38,6 +38,17 @@ def short_mission(**tables: Any) -> str:
     return toml_text({**table, "targets": [target], **tables})
 
 
+def record(folder: Path, it: Pair, text: str) -> None:
+    """Write what a flight has left, as the recorder does."""
+    facts = {"mission": "environment-1", "seed": 1, "profile": "flight", "lockstep": True}
+    with RunFolder(folder, mission_toml=text, epoch_us=EPOCH_US) as run:
+        run.header(facts)
+        run.inputs(it.inputs)
+        run.frames(it.record)
+        run.entries(it.journal)
+        run.run_json({"companion": "0"})
+
+
 def run_folder(folder: Path) -> Path:
     """A run folder of that flight, paused on its way by a person for ten seconds."""
     text = short_mission() + AROUND
@@ -47,11 +58,5 @@ def run_folder(folder: Path) -> Path:
     it.fly_out().run_for(5.0).ask(wire.MAV_CMD_DO_PAUSE_CONTINUE, 0.0)
     it.fly_to(Phase.HOLDING).run_for(10.0).ask(wire.MAV_CMD_DO_PAUSE_CONTINUE, 1.0)
     it.run_until(lambda it: it.out.end is not None)
-    facts = {"mission": "environment-1", "seed": 1, "profile": "flight", "lockstep": True}
-    with RunFolder(folder / "run", mission_toml=text, epoch_us=EPOCH_US) as run:
-        run.header(facts)
-        run.inputs(it.inputs)
-        run.frames(it.record)
-        run.entries(it.journal)
-        run.run_json({"companion": "0"})
-    return run.path
+    record(folder / "run", it, text)
+    return folder / "run"
