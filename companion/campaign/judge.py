@@ -17,7 +17,8 @@ and unless the autopilot had rebooted and the vehicle fell, or the radar told to
 A fence that comes during the flight is known ten seconds later (issue 5), and whoever is in it
 then, or nearer than d_s, has the time to leave it once, by half the mission's speed.
 An ending without a reason violates, or one that leaves the vehicle to nobody (`unexplained: ...`),
-unless no command could reach it then: a copter that hears nothing hovers.
+unless no command could reach it then: a copter that hears nothing hovers.  When its time is over
+it may be on its way back for as long as it was on its way out.
 """
 
 import bisect
@@ -35,7 +36,7 @@ from companion.campaign.drawn_world import DrawnWorld
 from companion.campaign.in_process import Flight, Happening, simulator
 from companion.geodesy import BoolArray, FloatArray
 from companion.library import route_terms
-from companion.mission.state import Reason
+from companion.mission.state import Phase, Reason
 from companion.world.terrain import PeakTerrain
 from companion.world.zones import CircleZone
 
@@ -276,16 +277,18 @@ class _Case:
     def _could_leave(self, gap_m: FloatArray, known_s: float) -> BoolArray:
         """Whether a new fence that is known has been left once, or could have been; (N,).
 
-        For so long as the companion has a say: the grace, a turn of a plane, which sets out where
-        its circle points along its way, then at half the speed.  On its circle a plane comes out of
-        a fence and into it again: it has not left it so.
+        For so long as the companion has a say: the grace, the climb to where it plans from, a turn
+        of a plane, which sets out where its circle points along its way, then at half the speed.
+        On its circle a plane comes out of a fence and into it again: it has not left it so.
         """
         known, limits = self.t_s >= known_s, self.drawn.task.limits
         if not known.any():
             return known
+        low_m = self.drawn.task.take_off_amsl_m - float(self.points_nea_m[known][0, 2])
         safety_m = self.drawn.task.settings.safety_distance_m
         depth_m = max(safety_m - float(gap_m[known][0]), 0.0)
-        takes_s = _GRACE_S + (math.tau * limits.loiter_radius_m + 2.0 * depth_m) / limits.speed_m_s
+        takes_s = _GRACE_S + 2.0 * max(low_m, 0.0) / limits.climb_rate_m_s
+        takes_s += (math.tau * limits.loiter_radius_m + 2.0 * depth_m) / limits.speed_m_s
         passed_s = np.diff(self.t_s, prepend=self.t_s[:1])
         led_s = np.cumsum(np.where(known & self.has_a_say, passed_s, 0.0))
         is_out = known & (gap_m >= safety_m) & limits.hovers
@@ -327,6 +330,10 @@ class _Case:
             held = any(e["phase"] == "holding" and e["t_s"] > self.airborne_s for e in phases)
             return ("held and resumed" if held else "arrived"), reason
         if is_cut and phase not in ("holding", "landing"):
+            back_s, out_s = last["t_s"] - phases[-1]["t_s"], phases[-1]["t_s"] - self.airborne_s
+            if phase == Phase.RETURNING.value and back_s < out_s:  # the way it came, as far
+                why = [e["reason"] for e in phases if e.get("reason")]
+                return "on its way back", why[-1] if why else ""
             return "unexplained: flies on", f"{phase}: {reason}"
         if not reason:
             return "unexplained: no reason", f"{phase}, {mode}"

@@ -64,7 +64,7 @@ COLUMNS: Final[dict[str, type]] = {
     "violated": str,  # which: `leg 3: terrain clearance; ...`
     "timeline": str,  # what went wrong
     "ending": str,  # with faults: `arrived`, `held and resumed`, `held for good`, `landed`,
-    # `returned`, `let go`, `refused`, `fell`, or `unexplained: ...`
+    # `returned`, `on its way back`, `let go`, `refused`, `fell`, or `unexplained: ...`
     "excused": str,  # with faults: what was too near, and why it could not know
     "length_m": float,  # of what was flown
     "straight_m": float,  # of the straight way from target to target

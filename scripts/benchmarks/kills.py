@@ -3,8 +3,9 @@
     scripts/bench kills [--kills 500] [--scale forest] [--autopilot px4] [--first 1] [--json FILE]
 
 The stream of setpoints ends, and a copy of the simulation flies on until the vehicle stands (a
-plane: until it has gone round); every other flight is told to return on its way.  Where it truly is
-must lie within what the certificates of its leg speak of, and of those before that it may still be
+plane: until it has gone round); every other flight is told to return on its way, every third to
+pause.  Where it truly is must lie within what the certificates of its leg speak of, or of the one
+that it holds at the end of, and of those before that it may still be
 on: tube and navigation error about curve, stretches, circles.  A plane is sent to points ahead of
 it: shortly before p_prog they lie on the next leg, whose certificate counts, too.
 """
@@ -28,9 +29,10 @@ from stepped import Flight
 from companion.campaign import drawn_world, families
 from companion.config import folder_of, load_mission
 from companion.mavlink.autopilots import named
+from companion.mission.events import Mode
 from companion.mission.following import lead_m
 from companion.mission.mission import AutopilotName, Mission
-from companion.mission.state import Phase
+from companion.mission.phases import By, Phase
 from companion.path.envelope import Envelope, ending_m_s, flown_on_m, rising_m_s
 from companion.planner.procedure import Leg
 from companion.planner.request import PlanOutcome, PlanRequest
@@ -66,7 +68,7 @@ _EVERY_S = 1.03  # so that it is not always at the same time since a position
 _ROUND_S, _ROUND_RAD = 70.0, 10.0  # a plane: into its circle and round it
 _STANDS_M_S, _STANDS_FOR_S = 0.25, 1.5
 _SAMPLES = 400  # of a leg
-_LIMIT_S = 1_500.0
+_LIMIT_S, _PAUSE_S = 1_500.0, 45
 
 
 class Proven(NamedTuple):
@@ -159,6 +161,14 @@ class KilledFlight(Flight):
         late = sum(each_m < leg.motion.lag_m for each_m in behind_m)
         self._legs = [(leg, rests), *before[: late + 1]]
 
+    @property
+    def is_led(self) -> bool:
+        """Whether it is led on a leg, or held by setpoints at the end of one."""
+        state = self.session.state
+        if not self._legs or state.vehicle.mode is not Mode.GUIDED:
+            return False
+        return self.phase in (Phase.FLYING, Phase.RETURNING) or state.held_by is By.SETPOINTS
+
     def killed(self) -> dict[str, Any]:
         """What comes of it in a copy without a companion."""
         read, write = os.pipe()
@@ -194,7 +204,8 @@ class KilledFlight(Flight):
                 heading_rad = vehicle.heading_rad
         where = np.array([*track[:: max(len(track) // 150, 1)], track[-1]])
         state, legs, (leg, _) = self.session.state, self._legs, self._legs[0]
-        path, at_m = state.path, state.reference.length_m
+        path = state.path
+        at_m = path.reference.length_m if path else leg.subpath.length_m
         points_m = at_m + lead_m(state)
         if path and path.next_leg and points_m > path.leg.successor_at_m:
             legs = [(path.next_leg, False), *legs]
@@ -260,13 +271,14 @@ def kills(scale: str, autopilot: str, seed: int, every_s: float) -> Iterator[dic
     faults = f"at 1 s: wind {wind_m_s} m/s from 250 deg turbulence {gusts_m_s}"
     if seed % 2:
         faults += f"\nat {returns_s} s: ground_command 20"  # NAV_RETURN_TO_LAUNCH
+    if seed % 3 == 0:
+        faults += f"\nat {returns_s // 2} s: ground_command 193 0"  # DO_PAUSE_CONTINUE
+        faults += f"\nat {returns_s // 2 + _PAUSE_S} s: ground_command 193 1"
     flight, due_s = KilledFlight(*setting(scale, autopilot, seed), seed, faults), -1.0
     kill: dict[str, Any] = {}
     while not flight.is_over and flight.now_s <= _LIMIT_S:
         flight.step()
-        is_led = flight.phase in (Phase.FLYING, Phase.RETURNING)
-        flies_leg = is_led and flight.session.state.leg is not None
-        if flies_leg and flight.now_s >= due_s:
+        if flight.is_led and flight.now_s >= due_s:
             due_s = flight.now_s + every_s
             kill = {"scale": scale, "autopilot": autopilot, "seed": seed, "gave_up": None}
             kill |= flight.killed()

@@ -137,6 +137,8 @@ THERE = [TARGET] * 3
 ALONE = "unexplained: left in guided mode"
 # on a circle of 40 m a turn takes 31 s at 8 m/s; a copter has to be out after 33 s
 PLANE = {"world": with_task(limits=replace(DRAWN.task.limits, loiter_radius_m=40.0))}
+# 10 m below where it plans from: at half of 1.5 m/s 13 s more
+LOW = {"up_m": DRAWN.task.take_off_amsl_m - 10.0}
 COUNTY = CircleZone(name="in", north_m=-1_200.0, east_m=0.0, radius_m=50.0, keep_in=True)
 COUNTY_ALONE = {"kind": "say", "world": with_task(zones=(COUNTY,))}
 JUDGED: dict[str, tuple[Places, str | None, dict[str, Any], int, str]] = {
@@ -161,6 +163,8 @@ JUDGED: dict[str, tuple[Places, str | None, dict[str, Any], int, str]] = {
     "one that was left before it was known": (BEFORE, FENCE, {}, 0, ""),
     "one that is left": (there(*LEFT), FENCE, {}, 0, ""),
     "and entered again": (there(*LEFT, (1, INSIDE)), FENCE, {}, 1, ""),
+    "one that it climbs in": (there((44, INSIDE)), FENCE, LOW, 0, ""),
+    "one that it does not climb out of": (there((50, INSIDE)), FENCE, LOW, 1, ""),
     "one that a plane turns in once": (there((60, INSIDE)), FENCE, PLANE, 0, ""),
     "one that a plane does not leave": (there((80, INSIDE)), FENCE, PLANE, 1, ""),
     "within a keep-in": ([(-1_200.0, 37.0)] * 3, None, COUNTY_ALONE, 0, ""),
@@ -194,6 +198,19 @@ def test_what_it_could_know_of_and_did_violates_and_so_does_an_unsafe_end(case: 
     assert ending in ("", row.get("ending"))
     if "told_off_m" in more:
         assert (row["excused"] is None) == bool(violations)
+
+
+@pytest.mark.parametrize(
+    ("cut_s", "ending"), [(9, "on its way back"), (11, "unexplained: flies on")]
+)
+def test_a_way_back_may_be_flown_for_as_long_as_the_way_out_was(cut_s: float, ending: str) -> None:
+    held = {"kind": "phase", "phase": "holding", "code": "NO_PLAN", "reason": "no way"}
+    back = {"t_s": 5.0, "kind": "phase", "phase": "returning", "code": None, "reason": None}
+    flown = flight([TARGET] * 12, t_s=11.5, outcome="stopped")
+    flown.journal[1:1] = [held | {"t_s": 4.0}, back, {"t_s": cut_s, "kind": "stop asked"}]
+    row = judge.judged(flown, DRAWN, WIND)
+    assert (row["ending"], row["violations"]) == (ending, int(cut_s == 11))
+    assert row["reason"] == ("no way" if cut_s == 9 else "returning: ")
 
 
 def test_what_was_planned_before_an_excuse_is_checked_whole() -> None:
