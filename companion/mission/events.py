@@ -327,13 +327,13 @@ class RequestStreams(Command, frozen=True, kw_only=True):
     """Request the message streams that the mission needs."""
 
 
-class SetMode(Command, frozen=True, kw_only=True, tag="set mode"):
+class SetMode(Command, frozen=True, kw_only=True, tag="set mode", omit_defaults=True):
     """A mode change was requested from the autopilot."""
 
     mode: Mode
     """The companion's name of it."""
     at_nea_m: Vector | None = None
-    """Where to hold, for autopilots that support it."""
+    """Where to hold, for autopilots that support it; left out: where it is."""
 
 
 class Arm(Command, frozen=True, kw_only=True, tag="arm"):

@@ -54,7 +54,7 @@ class Header(Struct, frozen=True, kw_only=True):
     """How often it had been started again; left out of the first header."""
 
 
-UNTOLD: Final = ("misread", "remedy", "at_nea_m", "altitude_amsl_m", "about")
+UNTOLD: Final = ("misread", "remedy", "altitude_amsl_m", "about")
 """Fields of events and commands that are entries as they are: these are not written."""
 
 
