@@ -88,6 +88,17 @@ class PathLeft(Entry, frozen=True, kw_only=True, tag="path_left"):
     """How far it was outside then: beyond its tracking error."""
 
 
+class StopsOnPath(Entry, frozen=True, kw_only=True, tag="stops on path"):
+    """It is to stop before the end of its leg; once it stands it holds for that (`phase`)."""
+
+    reason: str
+    """Why, as text."""
+    code: str
+    """The reason's name."""
+    at_m: float
+    """Where: so far along the leg."""
+
+
 class Resumed(Entry, frozen=True, kw_only=True, tag="resumed"):
     """The companion was restarted, and resumes the flight."""
 
@@ -347,6 +358,10 @@ def of_change(before: State, after: State) -> Iterator[Told]:
     path, was_on = after.path, before.path
     if path is not None and path.outside_m and not (was_on is not None and was_on.outside_m):
         yield _entry(PathLeft, left_path_m=path.outside_m)
+    stop, was_to = path and path.stop, was_on and was_on.stop
+    if stop and not (was_to and was_to.reason is stop.reason):
+        reason = stop.reason
+        yield _entry(StopsOnPath, reason=reason.text, code=reason.name, at_m=stop.at_m)
     if after.flight.legs_flown != before.flight.legs_flown:
         yield _entry(LegBegun, number=after.flight.legs_flown)
 

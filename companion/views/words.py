@@ -14,6 +14,7 @@ _BAD_PHASES: Final = [phase.value for phase in (Phase.HOLDING, Phase.FAULTED, Ph
 _WORDS: Final[dict[type[Entry], str]] = {
     noted.LegBegun: "begins subpath {0.number}",
     noted.PathLeft: "beside its path, {0.left_path_m:.2g} m more than its tracking error",
+    noted.StopsOnPath: "stops on its path: {0.reason}",
     noted.Resumed: "the companion was started again",
     events.StopAsked: "a person asked for the end",
     events.End: "{0.outcome.value}: {0.reason}",

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_up import Craft, position, scan_done
+from made_up import Craft, position, scan_done, tell
 from made_up_plans import planned
 
 from companion.mission import events, journal
+from companion.mission.phases import Phase
 from companion.path.certificate import Certificate, certify
 from companion.path.subpath import Subpath
 
@@ -45,6 +46,22 @@ def test_what_is_in_the_telemetry_log_is_not_told_again() -> None:
         assert journal.of_event(event, state) is None
     told = journal.of_event(scan_done(1.0), state)
     assert told["kind"] == "scan done"
+
+
+def test_a_stop_on_the_path_is_told_as_it_begins_and_once() -> None:
+    """Not only when it stands: a reader asks then why it has slowed down."""
+    craft = Craft().fly_to(Phase.FLYING)
+    craft.run_until(lambda it: it.state.leg is not None).run_for(20.0)
+    tell(craft, events.OrderKind.PAUSE)
+    craft.fly_to(Phase.HOLDING)
+    told = [
+        (entry["kind"], entry["code"])
+        for before, _, after, _ in craft.steps
+        for entry in journal.of_change(before, after)
+        if "code" in entry and after.now_s > 20.0
+    ]
+    assert told[-2:] == [("stops on path", "PAUSED"), ("phase", "PAUSED")]
+    assert told.count(("stops on path", "PAUSED")) == 1
 
 
 def test_what_is_noted_by_the_name_of_its_kind_is_declared() -> None:
