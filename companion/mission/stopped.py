@@ -125,6 +125,8 @@ def broken_off(state: State, reason: Reason, turn: Turn) -> None:
     if reason in TAKEN:
         return taken(state, turn)
     hold_for(state, reason)
+    if reason.asks_to_hold:
+        turn.ask(hold_by_itself(state))
 
 
 def _over(state: State, how: Reason, turn: Turn) -> None:
@@ -210,6 +212,7 @@ def _take_again(state: State, event: Event, turn: Turn, *, given_back: bool = Tr
     if given_back and _is_elsewhere(state):  # the previous reason is over
         come_to_rest(state)
         turn.hold(Reason.POSITION_ELSEWHERE)
+        turn.ask(hold_by_itself(state))
         state.taken = False
     elif not _is_trusted(state):
         come_to_rest(state)

@@ -127,6 +127,7 @@ class Watch:
         self._legs(before, event, after)
         if not self.context.shadow:
             self._orders(before, event, after, commands)
+            self._asks_to_hold(before, after, commands)
         self._deadlines(before, event, after, commands)
 
     def _hear(self, event: Event) -> bool:
@@ -205,6 +206,13 @@ class Watch:
             assert end.remedy or end.outcome is events.Outcome.ARRIVED, "no remedy"
             if end.reason == Reason.NOT_ALONE.text:
                 assert not moving(commands), "another companion's vehicle was told something"
+
+    def _asks_to_hold(self, before: State, after: State, commands: list[Command]) -> None:
+        """Whom its autopilot is to hold is told so at once, not with the next event."""
+        why = after.held_for
+        if why is not None and why is not before.held_for and why.asks_to_hold:
+            modes = [it.mode for it in commands if isinstance(it, events.SetMode)]
+            assert modes == [Mode.HOLD] or self.mode is not Mode.GUIDED, f"not told to hold: {why}"
 
     def _whose(self, before: State, after: State, command: Command) -> None:
         """Nobody else's vehicle is told anything: modes that are not ours, and let-go holds."""
