@@ -23,11 +23,11 @@ from rich.console import Console
 from companion import library
 from companion.campaign.command import campaign_app
 from companion.config import (
+    MissionFile,
     bundled,
     load_mission,
     load_world,
-    mission_files,
-    mission_name,
+    read_mission,
     refuse_older,
 )
 from companion.errors import CompanionError, FlightFailed, FlightInterrupted, InputError
@@ -162,9 +162,8 @@ def fly_command(
         machine = stack.enter_context(MachineLines(lines))
         console = plain_console(file=cast("TextIO", output))
         shows = _Shows(console=console, output=output, machine=machine)
-        if resume:
-            mission = _as_begun(mission, out)
-        chosen = _chosen(mission, profile, system, console)
+        file = _as_begun(mission, out) if resume else read_mission(mission)
+        chosen = _chosen(file, profile, system, console)
         folder_path = out or Path("runs") / f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{chosen.name}"
         signing, keep_time = _signing(signing_key)
         recalled = load_resume_data(folder_path, chosen) if resume else None
@@ -182,7 +181,7 @@ def fly_command(
         )
         if view:
             stack.enter_context(started_view(folder_path, view_port, console))
-        flown = _flown(session, connect, folder_path, mission, keep_time, recalled, shows)
+        flown = _flown(session, connect, folder_path, file, keep_time, recalled, shows)
         stopped = flown.end is not None and flown.end.outcome is Outcome.STOPPED
         if view and console.is_terminal and not stopped:
             stay(console)
@@ -203,7 +202,7 @@ def preflight_command(
     130 stopped by Ctrl-C.
     """
     console = plain_console(soft_wrap=True)
-    chosen = _chosen(mission, profile, system, console)
+    chosen = _chosen(read_mission(mission), profile, system, console)
     signing, keep_time = _signing(signing_key)
     session = Session(chosen, seed=1, lockstep=False, shadow=True, signing=signing)
     with open_link(connect) as link, console.status("") as status, stop_signals() as stop_asked:
@@ -385,31 +384,30 @@ class _Shows(NamedTuple):
 
 
 def _chosen(
-    mission: str, profile: ProfileName | None, system: int | None, console: Console
+    mission: MissionFile, profile: ProfileName | None, system: int | None, console: Console
 ) -> Mission:
     """The mission, for the vehicle that was asked for; what was assumed or left out is said."""
-    chosen = load_mission(mission, profile)
+    chosen = mission.mission(profile)
     for note in chosen.notes:
         console.out(f"note: {note}", highlight=False)
     return chosen if system is None else replace(chosen, system_id=system)
 
 
-def _as_begun(mission: str, folder: Path | None) -> str:
+def _as_begun(mission: str, folder: Path | None) -> MissionFile:
     """The mission of a run folder as it was flown, even if its file has changed since."""
     if folder is None:
         rule = "there is no flight to go on with"
         raise InputError("--resume", True, rule, "Give the run folder with --out.")
-    begun = folder / "mission.toml"
-    if not begun.is_file():
-        return mission
+    if not (folder / "mission.toml").is_file():
+        return read_mission(mission)
     refuse_older(folder)
-    given, name = None, mission_name(str(begun))
+    given, begun = None, read_mission(str(folder / "mission.toml"))
     with contextlib.suppress(InputError):
-        given = mission_name(mission)
-    if given is not None and name is not None and given != name:
-        rule = f"the flight in {folder} is of another mission, {name!r}"
+        given = read_mission(mission).name
+    if given is not None and begun.name is not None and given != begun.name:
+        rule = f"the flight in {folder} is of another mission, {begun.name!r}"
         raise InputError("MISSION", mission, rule, "Give that one, or a new folder with --out.")
-    return str(begun)
+    return begun
 
 
 def _signing(file: Path | None) -> tuple[Signing | None, Callable[[], None]]:
@@ -425,7 +423,7 @@ def _flown(
     session: Session,
     connect: str,
     folder_path: Path,
-    mission: str,
+    mission: MissionFile,
     keep_time: Callable[[], None],
     recalled: ResumeData | None,
     shows: _Shows,
@@ -435,7 +433,7 @@ def _flown(
     recalled: what there was of the flight that is gone on with; None: it is a new one.
     """
     console, began, lockstep = shows.console, datetime.now(UTC), session.context.lockstep
-    text, beside = mission_files(mission)
+    text, beside = mission.files()
     with contextlib.ExitStack() as until_shown:
         with (
             open_link(connect) as link,
@@ -533,17 +531,8 @@ def _exit_as_it_ended(flown: FlightSummary, connect: str) -> None:
         remedy = "" if end is None else end.remedy
         failed = flown.died or flown.session.state.reason is Reason.PLANNER_DIED
         if not (flown.heard or failed):
-            reason, remedy = _not_heard(flown.session, connect)
+            reason, remedy = not_heard(flown.session)
+            reason = f"--connect = {connect!r}: {reason}"
         raise (FlightInterrupted if flown.may_go_on else FlightFailed)(reason, remedy)
     if end.outcome is Outcome.STOPPED:
         raise typer.Exit(_INTERRUPTED)
-
-
-def _not_heard(session: Session, connect: str) -> tuple[str, str]:
-    """Why there is no vehicle, and what to do about it."""
-    refused = 0 if session.signing is None else session.signing.refused
-    if session.senders or session.receiver.passed + refused:
-        reason, remedy = not_heard(session)
-        return reason.replace("none was", "no vehicle was"), remedy
-    reason = f"--connect = {connect!r}: no vehicle was heard within 10 s"
-    return reason, "Start the vehicle, or give the address that it sends to."

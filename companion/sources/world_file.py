@@ -1,7 +1,6 @@
 """A world.toml, as far as planning without a vehicle needs it; vehicle-sim reads all of it."""
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import ConfigDict, Discriminator, Field, Tag
@@ -86,15 +85,15 @@ class WorldTable(Table):
             yield "area", None, "it is missing", "Add area; see docs/files.md."
 
 
-def world_of(table: RawTable, folder: Path) -> World:
-    """The world that a table means; folder: where the file is.  InputError for a broken rule."""
+def world_of(table: RawTable) -> World:
+    """The world that a table means.  Raises InputError for the first rule that is broken."""
     world = validated(WorldTable, table)
     origin_deg = world.origin.latitude_deg, world.origin.longitude_deg
     if isinstance(world.terrain, ElevationTable):
         assert world.area is not None
         rules.refuse(rules.of_area(*world.area.sides_m))
         frame = LocalFrame(latitude_deg=origin_deg[0], longitude_deg=origin_deg[1])
-        terrain: Terrain = world.terrain.terrain(folder, frame, world.area.sides_m)
+        terrain: Terrain = world.terrain.terrain(frame, world.area.sides_m)
     else:
         terrain = PeakTerrain(
             peaks=tuple(Peak(**dict(peak)) for peak in world.terrain.peaks),
