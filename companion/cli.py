@@ -45,7 +45,7 @@ from companion.runtime.compiler import load_kernel
 from companion.runtime.keys import SigningKey
 from companion.runtime.link import open_link
 from companion.runtime.loop import fly
-from companion.runtime.preflight import run_preflight
+from companion.runtime.preflight import preflight
 from companion.runtime.terminal import Terminal, stop_signals
 from companion.schemas import Document, schema_of
 from companion.session import Session
@@ -206,12 +206,10 @@ def preflight_command(
     signing, keep_time = _signing(signing_key)
     session = Session(chosen, seed=1, lockstep=False, shadow=True, signing=signing)
     with open_link(connect) as link, console.status("") as status, stop_signals() as stop_asked:
-        run_preflight(
-            session,
-            link,
-            stop_asked=lambda: bool(stop_asked),
-            on_progress=lambda text: status.update(f"waiting for {text}"),
-        )
+        for waits_for in preflight(session, link):
+            status.update(f"waiting for {waits_for}")
+            if stop_asked:
+                break
     keep_time()
     checks = checks_of(session)
     refused = [check for check in checks if check.status is CheckStatus.REFUSED]

@@ -59,6 +59,8 @@ class MissionFile:
     """What was assumed and what was left out, for people."""
     written: str | None = None
     """As it stands there, if that is all: it names no other file."""
+    advice: str = ""
+    """What else to do about a rule that it breaks."""
 
     @property
     def name(self) -> str | None:
@@ -95,10 +97,7 @@ class MissionFile:
 
         profile overrides its own; settings ("planner.safety_distance_m=300") its other keys.
         """
-        advice = ""
-        if _is_plan(self.where):
-            advice = "What a plan lacks is assumed: name it in a mission.toml to say it."
-        with within(self.where, advice):
+        with within(self.where, self.advice):
             checked = validated(MissionTable, with_settings(self.table, settings))
             return mission_of(checked, profile, self.notes)
 
@@ -108,9 +107,8 @@ def read_mission(name_or_path: str) -> MissionFile:
 
     Raises InputError if it, or a file that it names, cannot be read.
     """
-    text: str | None = None
-    if _is_plan(name_or_path):  # which names no other file
-        given: RawTable = {"plan": Path(name_or_path).name}
+    if is_plan := _is_plan(name_or_path):  # which names no other file
+        text, given = "", RawTable(plan=Path(name_or_path).name)
     else:
         text = _read(name_or_path, "mission")
         given = toml_table(text, name_or_path)
@@ -118,8 +116,13 @@ def read_mission(name_or_path: str) -> MissionFile:
         rule = "this is a world, not a mission"
         raise InputError("MISSION", name_or_path, rule, "Give its mission.toml.")
     table, notes = complete(given, folder_of(name_or_path), name_or_path)
-    written = text if table is given else None
-    return MissionFile(where=name_or_path, table=table, notes=notes, written=written)
+    return MissionFile(
+        where=name_or_path,
+        table=table,
+        notes=notes,
+        written=text if table is given else None,
+        advice="What a plan lacks is assumed: name it in a mission.toml to say it." * is_plan,
+    )
 
 
 def load_mission(
