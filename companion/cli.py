@@ -413,8 +413,7 @@ def _signing(file: Path | None) -> tuple[Signing | None, Callable[[], None]]:
     if file is None:
         return None, lambda: None
     key = SigningKey(file)
-    signing = key.signing(clock_s=datetime.now(UTC).timestamp())
-    return signing, lambda: key.save(signing.timestamp, datetime.now(UTC).timestamp())
+    return key.signing, key.save
 
 
 def _flown(
