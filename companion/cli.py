@@ -125,9 +125,6 @@ SeedOption = Annotated[int, typer.Option(min=0, help=_SEED_HELP)]
 ConnectOption = Annotated[str, typer.Option(help=_CONNECT_HELP)]
 SystemOption = Annotated[int | None, typer.Option(min=1, max=255, help=_SYSTEM_HELP)]
 KeyOption = Annotated[Path | None, typer.Option(help=_KEY_HELP)]
-FigureOption = Annotated[
-    Path, typer.Option("--figure", "--out", metavar="FILE", help="A .png, .svg or .pdf.")
-]
 
 
 @app.command("fly")
@@ -229,7 +226,9 @@ def plan_command(
             metavar="MISSION", help="A mission.toml; by default the bundled one of WORLD."
         ),
     ] = None,
-    figure: FigureOption = Path("plan.png"),
+    figure: Annotated[
+        Path, typer.Option("--figure", "--out", metavar="FILE", help="A .png, .svg or .pdf.")
+    ] = Path("plan.png"),
     seed: SeedOption = 1,
     profile: ProfileOption = None,
 ) -> None:

@@ -17,9 +17,9 @@ import pyproj
 
 from companion.errors import InputError
 from companion.geodesy import BoolArray, FloatArray, LocalFrame
-from companion.ranges import NotNegative
+from companion.ranges import Altitude, NotNegative
 from companion.sources.files import answer
-from companion.sources.tables import Altitude, FileName, Table
+from companion.sources.tables import FileName, Table
 from companion.world.known_map import KnownMap
 from companion.world.simulated import true_map
 from companion.world.terrain import GridTerrain

@@ -30,7 +30,7 @@ from companion.planner import rules
 from companion.planner.rules import Broken
 from companion.planner.settings import Place, PlannerSettings, Task
 from companion.profiles import PROFILES, Weights
-from companion.ranges import NotNegative, Positive
+from companion.ranges import Altitude, NotNegative, Positive
 from companion.sources.elevation import KnownElevationTable
 from companion.sources.files import WAYPOINTS, RawTable, begins_as, located, plain, within
 from companion.sources.plan_file import (
@@ -41,7 +41,6 @@ from companion.sources.plan_file import (
     with_plan,
 )
 from companion.sources.tables import (
-    Altitude,
     AreaTable,
     FileName,
     OriginTable,

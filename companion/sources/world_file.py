@@ -1,6 +1,7 @@
 """A world.toml, as far as planning without a vehicle needs it; vehicle-sim reads all of it."""
 
 from collections.abc import Iterator
+from dataclasses import fields
 from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import ConfigDict, Discriminator, Field, Tag
@@ -8,20 +9,11 @@ from pydantic import ConfigDict, Discriminator, Field, Tag
 from companion.geodesy import LocalFrame
 from companion.planner import rules
 from companion.planner.rules import Broken
+from companion.ranges import Altitude, Horizontal
 from companion.sources.elevation import ElevationTable
 from companion.sources.files import RawTable
-from companion.sources.tables import (
-    Altitude,
-    AreaTable,
-    Horizontal,
-    OriginTable,
-    Table,
-    validated,
-)
+from companion.sources.tables import AreaTable, OriginTable, Table, keys_of, validated
 from companion.world.terrain import Peak, PeakTerrain, Terrain
-
-_Spread = Annotated[float, Field(ge=0.01, le=1e6)]
-"""Places are divided by it and squared: less would make them infinite."""
 
 
 class World(NamedTuple):
@@ -34,14 +26,8 @@ class World(NamedTuple):
     """Latitude and longitude."""
 
 
-class PeakTable(Table):
+class PeakTable(keys_of(Peak, *(field.name for field in fields(Peak)))):  # type: ignore[misc]
     """A mountain of eq. 1."""
-
-    north_m: Horizontal
-    east_m: Horizontal
-    height_amsl_m: Altitude
-    spread_north_m: _Spread
-    spread_east_m: _Spread
 
 
 class PeaksTable(Table):

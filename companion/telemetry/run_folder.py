@@ -117,6 +117,9 @@ class RunFolder:
             if resume and held:  # the vehicle may be in the air
                 self.failure = error.strerror or str(error)
                 return
+            if error.filename in map(str, (beside or {}).values()):
+                rule, remedy = f"it cannot be read ({error.strerror})", "Put the file there again."
+                raise InputError("terrain.file", error.filename, rule, remedy) from error
             rule = f"it cannot be written to ({error.strerror})"
             raise InputError("--out", str(path), rule, "Give a folder that can be.") from error
 

@@ -233,7 +233,9 @@ def test_a_large_file_that_the_mission_names_is_copied_whole_and_in_little_memor
         tracemalloc.stop()
     assert filecmp.cmp(out / "terrain.tif", tile, shallow=False)
     (out / "terrain.tif").rename(kept := tmp_path / "terrain.tif")
-    with pytest.raises(InputError, match=r"--out = [^\n]*\.$"):
+    with pytest.raises(
+        InputError, match=r"terrain\.file = '[^\n]*/gone': it cannot be read [^\n]*\.$"
+    ):
         RunFolder(tmp_path, mission_toml="", beside={kept.name: tmp_path / "gone"}, epoch_us=1)
     assert filecmp.cmp(kept, tile, shallow=False)
     assert not [*tmp_path.glob(".*")]
