@@ -501,12 +501,11 @@ def _flown(
 
 
 def _show(flown: FlightSummary, folder: RunFolder, console: Console, *, draws: bool) -> None:
-    """The summary and the picture of a flight; without a terminal, or on a full disk, less."""
+    """The summary and the picture of a flight; on a full disk, or in haste, no picture."""
     lines, picture = [f"run folder: {folder.path}"], folder.path / "flight.png"
     if folder.failure is not None:
         lines.insert(0, f"recording stopped: {folder.failure}")
-    with contextlib.suppress(OSError):
-        console.print(flight_table(flown))
+    console.print(flight_table(flown))
     try:
         if flown.heard and draws:
             from companion.views.figure import draw_flown  # slow to import
@@ -515,16 +514,15 @@ def _show(flown: FlightSummary, folder: RunFolder, console: Console, *, draws: b
                 draw_flown(flown, picture)
     except InputError as error:
         lines.insert(0, f"no picture: {error.rule}")
-    with contextlib.suppress(OSError):
-        for line in lines:
-            console.out(line, highlight=False)
+    for line in lines:
+        console.out(line, highlight=False)
 
 
 def _exit_as_it_ended(flown: FlightSummary, connect: str) -> None:
     end = flown.end
-    if end is None or end.outcome is Outcome.FAILED:
-        reason = "the flight did not end" if end is None else end.reason
-        remedy = "" if end is None else end.remedy
+    assert end is not None  # as `fly` promises
+    if end.outcome is Outcome.FAILED:
+        reason, remedy = end.reason, end.remedy
         failed = flown.died or flown.session.state.reason is Reason.PLANNER_DIED
         if not (flown.heard or failed):
             reason, remedy = not_heard(flown.session)

@@ -23,6 +23,7 @@ from companion.config import load_mission
 from companion.errors import FlightFailed, FlightInterrupted, InputError
 from companion.mission.state import Reason
 from companion.runtime import loop
+from companion.runtime.compiler import load_kernel
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
 
@@ -33,7 +34,11 @@ STOPPED, CRASHED = 130, 70
 
 @pytest.fixture
 def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The wall clock goes ten times as fast: a vehicle that does not come is not waited for."""
+    """The wall clock goes ten times as fast: a vehicle that does not come is not waited for.
+
+    Nor is a planner that has to be compiled.
+    """
+    load_kernel()
     real = time.monotonic
     monkeypatch.setattr(time, "monotonic", lambda: 10.0 * real())
     monkeypatch.setitem(loop.fly.__kwdefaults__, "clock", time.monotonic)
