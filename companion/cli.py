@@ -472,7 +472,6 @@ def _flown(
                 session,
                 link,
                 folder,
-                lockstep=lockstep,
                 on_progress=show,
                 stop_asked=lambda: bool(stop_asked),
                 person=person,

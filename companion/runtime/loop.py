@@ -67,7 +67,6 @@ class Loop:
         link: Link,
         planner: PlannerProcess | PlannerHere | None = None,
         *,
-        lockstep: bool,
         clock: Clock,
         stop_asked: Callable[[], bool] = lambda: False,
         person: Terminal | None = None,
@@ -86,11 +85,11 @@ class Loop:
             session,
             clock=clock,
             on_failure=self._on_failure,
-            watches_time=not lockstep,
+            watches_time=not session.context.lockstep,
         )
         self._planner: PlannerProcess | PlannerHere | None = planner
-        self._lockstep, self._stop_asked, self._person = lockstep, stop_asked, person
-        self._in_flight = in_flight
+        self._lockstep, self._in_flight = session.context.lockstep, in_flight
+        self._stop_asked, self._person = stop_asked, person
         self._calls: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         """What other threads have to tell the session in the next turn."""
         self._stopping = False
@@ -315,7 +314,6 @@ def fly(
     link: Link,
     folder: RunFolder,
     *,
-    lockstep: bool,
     on_progress: Callable[[FlightSummary], None],
     stop_asked: Callable[[], bool],
     planner: PlannerProcess | PlannerHere | None = None,
@@ -333,10 +331,11 @@ def fly(
     The caller's thread watches; on_progress and stop_asked are called in threads of their own.
     """
     load_libraries()  # now, or it would delay setpoints
+    lockstep = session.context.lockstep
     planner = planner or PlannerProcess(hurries=not lockstep)
     loop = Loop(
         session, link, planner,
-        lockstep=lockstep, clock=clock, stop_asked=stop_asked, person=person, in_flight=in_flight,
+        clock=clock, stop_asked=stop_asked, person=person, in_flight=in_flight,
     )  # fmt: skip
     recorder = Recorder(folder, clock, loop.lost, persist)
     writer = recorder if lockstep else WriterThread(recorder)

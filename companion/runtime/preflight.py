@@ -23,7 +23,7 @@ def preflight(session: Session, link: Link) -> Iterator[str]:
 
     In each turn it says what is waited for, as text.
     """
-    loop = Loop(session, link, lockstep=False, clock=time.monotonic)
+    loop = Loop(session, link, clock=time.monotonic)
     until_s, scanned_s, answered_s = loop.clock() + _DEADLINE_S, math.inf, math.inf
     for _ in loop.turns():
         now_s, state, vehicle = loop.clock(), session.state, session.vehicle
