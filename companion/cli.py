@@ -23,11 +23,11 @@ from rich.console import Console
 from companion import library
 from companion.campaign.command import campaign_app
 from companion.config import (
+    MissionFile,
     bundled,
     load_mission,
     load_world,
-    mission_files,
-    mission_name,
+    read_mission,
     refuse_older,
 )
 from companion.errors import CompanionError, FlightFailed, FlightInterrupted, InputError
@@ -45,7 +45,7 @@ from companion.runtime.compiler import load_kernel
 from companion.runtime.keys import SigningKey
 from companion.runtime.link import open_link
 from companion.runtime.loop import fly
-from companion.runtime.preflight import run_preflight
+from companion.runtime.preflight import preflight
 from companion.runtime.terminal import Terminal, stop_signals
 from companion.schemas import Document, schema_of
 from companion.session import Session
@@ -125,9 +125,6 @@ SeedOption = Annotated[int, typer.Option(min=0, help=_SEED_HELP)]
 ConnectOption = Annotated[str, typer.Option(help=_CONNECT_HELP)]
 SystemOption = Annotated[int | None, typer.Option(min=1, max=255, help=_SYSTEM_HELP)]
 KeyOption = Annotated[Path | None, typer.Option(help=_KEY_HELP)]
-FigureOption = Annotated[
-    Path, typer.Option("--figure", "--out", metavar="FILE", help="A .png, .svg or .pdf.")
-]
 
 
 @app.command("fly")
@@ -162,9 +159,8 @@ def fly_command(
         machine = stack.enter_context(MachineLines(lines))
         console = plain_console(file=cast("TextIO", output))
         shows = _Shows(console=console, output=output, machine=machine)
-        if resume:
-            mission = _as_begun(mission, out)
-        chosen = _chosen(mission, profile, system, console)
+        file = _as_begun(mission, out) if resume else read_mission(mission)
+        chosen = _chosen(file, profile, system, console)
         folder_path = out or Path("runs") / f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{chosen.name}"
         signing, keep_time = _signing(signing_key)
         recalled = load_resume_data(folder_path, chosen) if resume else None
@@ -182,7 +178,7 @@ def fly_command(
         )
         if view:
             stack.enter_context(started_view(folder_path, view_port, console))
-        flown = _flown(session, connect, folder_path, mission, keep_time, recalled, shows)
+        flown = _flown(session, connect, folder_path, file, keep_time, recalled, shows)
         stopped = flown.end is not None and flown.end.outcome is Outcome.STOPPED
         if view and console.is_terminal and not stopped:
             stay(console)
@@ -203,16 +199,14 @@ def preflight_command(
     130 stopped by Ctrl-C.
     """
     console = plain_console(soft_wrap=True)
-    chosen = _chosen(mission, profile, system, console)
+    chosen = _chosen(read_mission(mission), profile, system, console)
     signing, keep_time = _signing(signing_key)
     session = Session(chosen, seed=1, lockstep=False, shadow=True, signing=signing)
     with open_link(connect) as link, console.status("") as status, stop_signals() as stop_asked:
-        run_preflight(
-            session,
-            link,
-            stop_asked=lambda: bool(stop_asked),
-            on_progress=lambda text: status.update(f"waiting for {text}"),
-        )
+        for waits_for in preflight(session, link):
+            status.update(f"waiting for {waits_for}")
+            if stop_asked:
+                break
     keep_time()
     checks = checks_of(session)
     refused = [check for check in checks if check.status is CheckStatus.REFUSED]
@@ -232,7 +226,9 @@ def plan_command(
             metavar="MISSION", help="A mission.toml; by default the bundled one of WORLD."
         ),
     ] = None,
-    figure: FigureOption = Path("plan.png"),
+    figure: Annotated[
+        Path, typer.Option("--figure", "--out", metavar="FILE", help="A .png, .svg or .pdf.")
+    ] = Path("plan.png"),
     seed: SeedOption = 1,
     profile: ProfileOption = None,
 ) -> None:
@@ -385,31 +381,30 @@ class _Shows(NamedTuple):
 
 
 def _chosen(
-    mission: str, profile: ProfileName | None, system: int | None, console: Console
+    mission: MissionFile, profile: ProfileName | None, system: int | None, console: Console
 ) -> Mission:
     """The mission, for the vehicle that was asked for; what was assumed or left out is said."""
-    chosen = load_mission(mission, profile)
+    chosen = mission.mission(profile)
     for note in chosen.notes:
         console.out(f"note: {note}", highlight=False)
     return chosen if system is None else replace(chosen, system_id=system)
 
 
-def _as_begun(mission: str, folder: Path | None) -> str:
+def _as_begun(mission: str, folder: Path | None) -> MissionFile:
     """The mission of a run folder as it was flown, even if its file has changed since."""
     if folder is None:
         rule = "there is no flight to go on with"
         raise InputError("--resume", True, rule, "Give the run folder with --out.")
-    begun = folder / "mission.toml"
-    if not begun.is_file():
-        return mission
+    if not (folder / "mission.toml").is_file():
+        return read_mission(mission)
     refuse_older(folder)
-    given, name = None, mission_name(str(begun))
+    given, begun = None, read_mission(str(folder / "mission.toml"))
     with contextlib.suppress(InputError):
-        given = mission_name(mission)
-    if given is not None and name is not None and given != name:
-        rule = f"the flight in {folder} is of another mission, {name!r}"
+        given = read_mission(mission).name
+    if given is not None and begun.name is not None and given != begun.name:
+        rule = f"the flight in {folder} is of another mission, {begun.name!r}"
         raise InputError("MISSION", mission, rule, "Give that one, or a new folder with --out.")
-    return str(begun)
+    return begun
 
 
 def _signing(file: Path | None) -> tuple[Signing | None, Callable[[], None]]:
@@ -417,15 +412,14 @@ def _signing(file: Path | None) -> tuple[Signing | None, Callable[[], None]]:
     if file is None:
         return None, lambda: None
     key = SigningKey(file)
-    signing = key.signing(clock_s=datetime.now(UTC).timestamp())
-    return signing, lambda: key.save(signing.timestamp, datetime.now(UTC).timestamp())
+    return key.signing, key.save
 
 
 def _flown(
     session: Session,
     connect: str,
     folder_path: Path,
-    mission: str,
+    mission: MissionFile,
     keep_time: Callable[[], None],
     recalled: ResumeData | None,
     shows: _Shows,
@@ -435,7 +429,7 @@ def _flown(
     recalled: what there was of the flight that is gone on with; None: it is a new one.
     """
     console, began, lockstep = shows.console, datetime.now(UTC), session.context.lockstep
-    text, beside = mission_files(mission)
+    text, beside = mission.files()
     with contextlib.ExitStack() as until_shown:
         with (
             open_link(connect) as link,
@@ -478,7 +472,6 @@ def _flown(
                 session,
                 link,
                 folder,
-                lockstep=lockstep,
                 on_progress=show,
                 stop_asked=lambda: bool(stop_asked),
                 person=person,
@@ -507,12 +500,11 @@ def _flown(
 
 
 def _show(flown: FlightSummary, folder: RunFolder, console: Console, *, draws: bool) -> None:
-    """The summary and the picture of a flight; without a terminal, or on a full disk, less."""
+    """The summary and the picture of a flight; on a full disk, or in haste, no picture."""
     lines, picture = [f"run folder: {folder.path}"], folder.path / "flight.png"
     if folder.failure is not None:
         lines.insert(0, f"recording stopped: {folder.failure}")
-    with contextlib.suppress(OSError):
-        console.print(flight_table(flown))
+    console.print(flight_table(flown))
     try:
         if flown.heard and draws:
             from companion.views.figure import draw_flown  # slow to import
@@ -521,29 +513,19 @@ def _show(flown: FlightSummary, folder: RunFolder, console: Console, *, draws: b
                 draw_flown(flown, picture)
     except InputError as error:
         lines.insert(0, f"no picture: {error.rule}")
-    with contextlib.suppress(OSError):
-        for line in lines:
-            console.out(line, highlight=False)
+    for line in lines:
+        console.out(line, highlight=False)
 
 
 def _exit_as_it_ended(flown: FlightSummary, connect: str) -> None:
     end = flown.end
-    if end is None or end.outcome is Outcome.FAILED:
-        reason = "the flight did not end" if end is None else end.reason
-        remedy = "" if end is None else end.remedy
+    assert end is not None  # as `fly` promises
+    if end.outcome is Outcome.FAILED:
+        reason, remedy = end.reason, end.remedy
         failed = flown.died or flown.session.state.reason is Reason.PLANNER_DIED
         if not (flown.heard or failed):
-            reason, remedy = _not_heard(flown.session, connect)
+            reason, remedy = not_heard(flown.session)
+            reason = f"--connect = {connect!r}: {reason}"
         raise (FlightInterrupted if flown.may_go_on else FlightFailed)(reason, remedy)
     if end.outcome is Outcome.STOPPED:
         raise typer.Exit(_INTERRUPTED)
-
-
-def _not_heard(session: Session, connect: str) -> tuple[str, str]:
-    """Why there is no vehicle, and what to do about it."""
-    refused = 0 if session.signing is None else session.signing.refused
-    if session.senders or session.receiver.passed + refused:
-        reason, remedy = not_heard(session)
-        return reason.replace("none was", "no vehicle was"), remedy
-    reason = f"--connect = {connect!r}: no vehicle was heard within 10 s"
-    return reason, "Start the vehicle, or give the address that it sends to."

@@ -6,8 +6,10 @@ What they mean is the part of `sources`: `mission_file`, `plan_file`, `world_fil
 import re
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
+from typing import final
 
 from companion.errors import InputError
 from companion.mission.mission import Mission
@@ -17,6 +19,7 @@ from companion.sources.files import (
     RawTable,
     answer,
     begins_as,
+    located,
     plain,
     read_text,
     toml_table,
@@ -24,7 +27,7 @@ from companion.sources.files import (
     with_settings,
     within,
 )
-from companion.sources.mission_file import MissionFile, MissionTable, complete, mission_of
+from companion.sources.mission_file import MissionTable, complete, mission_of
 from companion.sources.tables import validated
 from companion.sources.world_file import World, world_of
 
@@ -40,60 +43,93 @@ def bundled() -> list[str]:
     return sorted(file.parent.name for file in _ENVIRONMENTS.glob("*/mission.toml"))
 
 
-def mission_text(name_or_path: str) -> str:
-    """The mission file as it stands, or, if it names others, with what they hold.
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissionFile:
+    """A mission as it was read, once, with what the files that it names hold.
 
     An elevation file alone is named still, by its absolute path.
     """
-    return _text(name_or_path, _whole(name_or_path))
+
+    where: str
+    """Its bundled name, or its path."""
+    table: RawTable
+    """Nothing in it has been checked."""
+    notes: tuple[str, ...] = ()
+    """What was assumed and what was left out, for people."""
+    written: str | None = None
+    """As it stands there, if that is all: it names no other file."""
+    advice: str = ""
+    """What else to do about a rule that it breaks."""
+
+    @property
+    def name(self) -> str | None:
+        """The name that it gives itself, if it does."""
+        name = self.table.get("name")
+        return name if isinstance(name, str) else None
+
+    @property
+    def elevation_file(self) -> Path | None:
+        """The file that it knows its terrain from, if there is one."""
+        terrain = self.table.get("terrain")
+        file = terrain.get("file") if isinstance(terrain, dict) else None
+        return Path(file) if isinstance(file, str) else None
+
+    @property
+    def text(self) -> str:
+        """As TOML."""
+        if self.written is not None:
+            return self.written
+        head = [f"# As read from {plain(Path(self.where).name, 'a file')}."]
+        head += [f"# {plain(note, '', 300)}" for note in self.notes]
+        return "\n".join(head) + "\n" + toml_text(self.table)
+
+    def files(self) -> tuple[str, dict[str, Path]]:
+        """Its text, and files by the names that it has for them: all that flying it needs."""
+        if (file := self.elevation_file) is None:
+            return self.text, {}
+        name = file.name if file.suffix.lower() == ".hgt" else "terrain.tif"  # placed by its name
+        table = self.table | {"terrain": self.table["terrain"] | {"file": name}}
+        return replace(self, table=table).text, {name: file}
+
+    def mission(self, profile: str | None = None, settings: Sequence[str] = ()) -> Mission:
+        """What it means.  Raises InputError about the first rule that is broken.
+
+        profile overrides its own; settings ("planner.safety_distance_m=300") its other keys.
+        """
+        with within(self.where, self.advice):
+            checked = validated(MissionTable, with_settings(self.table, settings))
+            return mission_of(checked, profile, self.notes)
 
 
-def mission_files(name_or_path: str) -> tuple[str, dict[str, Path]]:
-    """A mission's text, and files by the names that it has for them: all that flying it needs."""
-    whole = _whole(name_or_path)
-    if (file := elevation_file(name_or_path)) is None:
-        return _text(name_or_path, whole), {}
-    tile = Path(file)
-    name = tile.name if tile.suffix.lower() == ".hgt" else "terrain.tif"  # placed by its name
-    terrain = whole.table["terrain"] | {"file": name}
-    table = whole.table | {"terrain": terrain}
-    return _text(name_or_path, whole._replace(table=table)), {name: tile}
+def read_mission(name_or_path: str) -> MissionFile:
+    """A bundled mission, a mission.toml, or a .plan or waypoint list by itself.
 
-
-def _text(name_or_path: str, whole: MissionFile) -> str:
-    if whole.is_whole:
-        return _read(name_or_path, "mission")
-    head = [f"# As read from {plain(Path(name_or_path).name, 'a file')}."]
-    head += [f"# {plain(note, '', 300)}" for note in whole.notes]
-    return "\n".join(head) + "\n" + toml_text(whole.table)
-
-
-def mission_name(name_or_path: str) -> str | None:
-    """The name that a mission gives itself, if it does; InputError if it cannot be read."""
-    name = _whole(name_or_path).table.get("name")
-    return name if isinstance(name, str) else None
-
-
-def elevation_file(name_or_path: str) -> str | None:
-    """The file that a mission knows its terrain from, if there is one; InputError as above."""
-    terrain = _whole(name_or_path).table.get("terrain")
-    file = terrain.get("file") if isinstance(terrain, dict) else None
-    return file if isinstance(file, str) else None
+    Raises InputError if it, or a file that it names, cannot be read.
+    """
+    if is_plan := _is_plan(name_or_path):  # which names no other file
+        text, given = "", RawTable(plan=Path(name_or_path).name)
+    else:
+        text = _read(name_or_path, "mission")
+        given = toml_table(text, name_or_path)
+    if "terrain" in given and not _OF_MISSIONS & given.keys():
+        rule = "this is a world, not a mission"
+        raise InputError("MISSION", name_or_path, rule, "Give its mission.toml.")
+    table, notes = complete(given, folder_of(name_or_path), name_or_path)
+    return MissionFile(
+        where=name_or_path,
+        table=table,
+        notes=notes,
+        written=text if table is given else None,
+        advice="What a plan lacks is assumed: name it in a mission.toml to say it." * is_plan,
+    )
 
 
 def load_mission(
     name_or_path: str, profile: str | None = None, settings: Sequence[str] = ()
 ) -> Mission:
-    """A bundled mission, a mission.toml, or a .plan or waypoint list by itself.
-
-    profile overrides the file's; settings ("planner.safety_distance_m=300") its other keys.
-    """
-    whole, advice = _whole(name_or_path), ""
-    if _is_plan(name_or_path):
-        advice = "What a plan lacks is assumed: name it in a mission.toml to say it."
-    table = with_settings(whole.table, settings)
-    with within(name_or_path, advice):
-        return mission_of(validated(MissionTable, table), profile, whole.notes)
+    """The mission in a file; what the arguments mean: `MissionFile.mission`."""
+    return read_mission(name_or_path).mission(profile, settings)
 
 
 def refuse_older(run_dir: Path) -> None:
@@ -108,18 +144,6 @@ def refuse_older(run_dir: Path) -> None:
             raise InputError("RUN_DIR", str(run_dir), rule, "Use companion 0.2.0 for it.")
 
 
-def _whole(name_or_path: str) -> MissionFile:
-    """A mission with what the files that it names hold; a plan by itself names no other."""
-    if _is_plan(name_or_path):
-        table: RawTable = {"plan": Path(name_or_path).name}
-    else:
-        table = toml_table(_read(name_or_path, "mission"), name_or_path)
-    if "terrain" in table and not _OF_MISSIONS & table.keys():
-        rule = "this is a world, not a mission"
-        raise InputError("MISSION", name_or_path, rule, "Give its mission.toml.")
-    return complete(table, folder_of(name_or_path), name_or_path)
-
-
 def _is_plan(name_or_path: str) -> bool:
     """Whether it is a plan or a waypoint list by itself."""
     path = Path(name_or_path)
@@ -128,8 +152,8 @@ def _is_plan(name_or_path: str) -> bool:
 
 
 def world_table(name_or_path: str) -> RawTable:
-    """A bundled world or a file, as it stands there."""
-    return toml_table(_read(name_or_path, "world"), name_or_path)
+    """A bundled world or a file, as it stands there, but that its elevation file is `located`."""
+    return located(toml_table(_read(name_or_path, "world"), name_or_path), folder_of(name_or_path))
 
 
 def load_world(name_or_path: str) -> World:
@@ -139,7 +163,7 @@ def load_world(name_or_path: str) -> World:
         rule = "this is a mission, not a world"
         raise InputError("WORLD", name_or_path, rule, "Give its world.toml.")
     with within(name_or_path):
-        return world_of(table, folder_of(name_or_path))
+        return world_of(table)
 
 
 def folder_of(name_or_path: str) -> Path:

@@ -2,22 +2,17 @@
 
 import os
 import select
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import all as wire
-from scripted_vehicle import MISSION, Pair, ScriptedLink, Vehicle, straight_plan
+from scripted_vehicle import MISSION, Pair, Vehicle
 
 from companion.mavlink import preflight
 from companion.mavlink.link import Output
 from companion.mission.state import Phase
 from companion.replay.feed import Feeder
-from companion.runtime import loop
-from companion.runtime.planner_process import PlannerHere
 from companion.runtime.terminal import HOW_TO, Terminal
 from companion.session import Session
-from companion.telemetry.flight_status import flight_status
 
 
 def waiting(phase: Phase = Phase.READY) -> Pair:
@@ -73,30 +68,6 @@ def test_a_go_is_an_input_and_the_flight_is_told_again_as_it_was() -> None:
         output = feeder.take(each)
         journal += output.journal if isinstance(output, Output) else []
     assert journal == it.journal
-
-
-@pytest.mark.parametrize("here", [True, False])
-def test_the_loop_asks_who_is_there(here: bool) -> None:
-    """Somebody says go again and again, and hears why not."""
-    link, heard = ScriptedLink(Vehicle(lockstep=False)), list[str]()
-    person: Any = SimpleNamespace(hears=heard.append, says_go=lambda: True) if here else None
-    control = loop.Loop(
-        Session(MISSION, seed=1, lockstep=False),
-        link,
-        PlannerHere(straight_plan),
-        lockstep=True,  # of the loop alone: it hears a tick of the vehicle a turn
-        clock=link.clock,
-        stop_asked=lambda: link.vehicle.armed or link.vehicle.time_ms > 60_000,
-        person=person,
-    )
-    waits_for = [flight_status(control.flown).waits_for or "" for _ in control.turns()]
-    assert link.vehicle.armed is here
-    assert any("no terminal is here" in why for why in waits_for) is not here
-    if here:
-        at = heard.index("go: it takes off")
-        assert all("not ready" in why or "no vehicle" in why for why in heard[:at])
-        assert at > 0
-        assert "already" in heard[at + 1]
 
 
 def test_a_yes_is_typed_and_anything_else_is_told_how() -> None:

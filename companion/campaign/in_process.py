@@ -17,7 +17,7 @@ from typing import Any, Final, NamedTuple, Protocol, final
 
 import numpy as np
 
-from companion.config import load_mission, mission_text
+from companion.config import read_mission
 from companion.errors import InputError
 from companion.geodesy import FloatArray
 from companion.mission.mission import Mission
@@ -111,7 +111,8 @@ class Flying:
 
     def __init__(self, files: FlightFiles, *, seed: int, limit_s: float) -> None:
         """Raises what is wrong with a mission, a world or faults, before anything is written."""
-        self._mission = load_mission(str(files.mission))
+        file = read_mission(str(files.mission))
+        self._mission, self._text = file.mission(), file.text
         self._vehicle = simulator().vehicle(files.world, seed=seed, faults=files.faults)
         self._files, self._seed, self._limit_s = files, seed, limit_s
         self.flies = True
@@ -131,9 +132,8 @@ class Flying:
             planner=plan,
             stop_asked=lambda: self.loop.clock() >= self._limit_s,
         )
-        text = mission_text(str(self._files.mission))
         self._folder = RunFolder(
-            folder, mission_toml=text, epoch_us=_EPOCH_US, resume=again, durable=False
+            folder, mission_toml=self._text, epoch_us=_EPOCH_US, resume=again, durable=False
         )
         profile = mission.task.settings.profile.name
         facts = {"mission": mission.name, "seed": seed, "profile": profile, "lockstep": True}

@@ -23,7 +23,7 @@ from companion.campaign.drawn_world import DrawnWorld, of_files, tables_of
 from companion.campaign.file import Knowledge, Place, Run
 from companion.campaign.in_process import FlightFiles, Flying, fly_here, simulator
 from companion.campaign.store import Row
-from companion.config import folder_of, load_world, mission_text, world_table
+from companion.config import load_world, read_mission, world_table
 from companion.errors import InputError
 from companion.geodesy import FloatArray
 from companion.optimise.registry import OPTIMISERS
@@ -31,7 +31,7 @@ from companion.planner.offline import OfflineFlight, TerrainRadar, fly_offline
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.planning import OURS, planner_of
 from companion.profiles import PROFILES
-from companion.sources.files import RawTable, toml_table, toml_text, with_settings
+from companion.sources.files import RawTable, toml_text, with_settings
 from companion.world.simulated import simulated_scan, true_map
 
 _POINTS_PER_RANGE = 1_000
@@ -189,14 +189,8 @@ def _tables(run: Run) -> tuple[RawTable, RawTable]:
     if place.family is not None:
         world, mission = tables_of(drawn_of(place), autopilot)
     else:
-        mission_name = place.mission or place.world
         load_world(place.world)  # says in one line what is wrong with it
-        world = world_table(place.world)
-        mission = toml_table(mission_text(mission_name), mission_name)
-        for table, name in ((world, place.world), (mission, mission_name)):
-            terrain = table.get("terrain")
-            if isinstance(terrain, dict) and "file" in terrain:  # wherever the files are copied to
-                terrain["file"] = str(folder_of(name).absolute() / terrain["file"])
+        world, mission = world_table(place.world), read_mission(place.mission or place.world).table
     if asked is not None:
         is_ideal = (world["vehicle"]["autopilot"], asked) == ("ideal", "ardupilot-copter")
         world["vehicle"] |= {"autopilot": "ideal" if is_ideal else autopilot, "kind": kind}

@@ -11,7 +11,6 @@ flown again, and is the same.  Two writers at once are refused.
 """
 
 import fcntl
-import io
 import shutil
 import time
 from collections.abc import Sequence
@@ -24,7 +23,7 @@ from msgspec import Struct
 
 from companion.errors import InputError
 from companion.extras import need
-from companion.telemetry.run_folder import replace_whole
+from companion.telemetry.run_folder import replacing
 
 if TYPE_CHECKING:
     import polars as pl
@@ -127,8 +126,12 @@ class Store:
                 self._lock = broken.enter_context((folder / _LOCK).open("w"))
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 if not (folder / _RUNS).exists() and not any((folder / ROWS).iterdir()):
-                    replace_whole(folder / _FILE, text.encode())
-                    replace_whole(folder / _RUNS, msgspec.json.encode(facts))
+                    for name, content in (
+                        (_FILE, text.encode()),
+                        (_RUNS, msgspec.json.encode(facts)),
+                    ):
+                        with replacing(folder / name) as file:
+                            file.write(content)
                 elif facts_of(folder).digest != facts.digest:
                     raise self._refused("it holds another campaign, or the same with other options")
                 # what a killed process was writing: it has the lock no more
@@ -155,10 +158,9 @@ class Store:
     def _write(self) -> None:
         """Write what waits, in a part of its own."""
         if self._waiting:
-            sink, numbers = io.BytesIO(), {row["run"] for row in self._waiting}
-            table(self._waiting).write_parquet(sink)
-            path = self.folder / ROWS / f"part-{min(numbers):07d}.parquet"
-            replace_whole(path, sink.getvalue())
+            numbers = {row["run"] for row in self._waiting}
+            with replacing(self.folder / ROWS / f"part-{min(numbers):07d}.parquet") as file:
+                table(self._waiting).write_parquet(file)
             self.done |= numbers
         self._waiting, self._written_s = [], time.monotonic()
 

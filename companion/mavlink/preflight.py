@@ -167,9 +167,9 @@ def not_heard(session: PreflightInputs) -> tuple[str, str]:
         return what, "Check vehicle.kind and vehicle.autopilot of the mission."
     selector, wanted = session.selector, session.mission.system_id
     others, elsewhere = sorted(selector.others), sorted(selector.elsewhere)
-    names = ", ".join(map(str, others))
+    names, nobody = ", ".join(map(str, others)), Reason.NO_VEHICLE.text
     if any(wanted in (None, system) for system, _ in elsewhere) or (elsewhere and not others):
-        what = f"none was heard as component 1; heard: an autopilot as {ids_in_words(elsewhere)}"
+        what = f"{nobody} as component 1; heard: an autopilot as {ids_in_words(elsewhere)}"
         return what, TO_COMPONENT_1
     if others and wanted is None:
         return f"systems {names} were heard", "Choose one with --system."
@@ -177,15 +177,15 @@ def not_heard(session: PreflightInputs) -> tuple[str, str]:
         what = f"vehicle.system_id = {wanted}: only system {names} was heard"
         return what, "Give the vehicle's own system id with --system, or write it into the mission."
     if session.senders:
-        what = f"none was heard: {ids_in_words(session.senders)} without an autopilot's HEARTBEAT"
+        what = f"{nobody}: {ids_in_words(session.senders)} without an autopilot's HEARTBEAT"
         return what, "Connect to where the autopilot sends it."
     if session.signing is not None and session.signing.refused:
-        what = "none was heard; what comes in is not signed with this key"
+        what = f"{nobody}; what comes in is not signed with this key"
         return what, "Set the same key up on the vehicle."
     if session.receiver.passed:
-        what = "none was heard; what comes in is no MAVLink"
+        what = f"{nobody}; what comes in is no MAVLink"
         return what, "Check the baud rate, and that --connect names the autopilot's port."
-    return "none was heard", "Start it, or check --connect."
+    return nobody, Reason.NO_VEHICLE.remedy
 
 
 def _link(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check]:

@@ -4,7 +4,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from companion.config import elevation_file, load_mission, refuse_older
+from companion.config import read_mission, refuse_older
 from companion.errors import InputError
 from companion.mission.mission import Mission
 from companion.replay.command import out_file
@@ -61,8 +61,8 @@ def mission_of(run_dir: Path) -> Mission:
     """The mission as it was flown; what is known of its terrain does not matter here."""
     refuse_older(run_dir)
     file = file_of_run(run_dir, "mission.toml")
-    known = elevation_file(str(file))  # it may be on another computer
-    return load_mission(str(file), settings=() if known is None else (_NOT_NEEDED,))
+    read = read_mission(str(file))  # an elevation file may be on another computer
+    return read.mission(settings=() if read.elevation_file is None else (_NOT_NEEDED,))
 
 
 # --- on a page

@@ -3,14 +3,14 @@
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Final, final
 
 import msgspec
 from msgspec import Meta
 
-from companion.config import elevation_file, load_mission, refuse_older
+from companion.config import read_mission, refuse_older
 from companion.errors import InputError
 from companion.mavlink.link import Input, Output
 from companion.mission import checkpoint
@@ -105,16 +105,17 @@ def flown_mission(folder: Path) -> MissionOf:
     """The mission of a run folder, as it was flown.  InputError if its terrain is another now."""
     refuse_older(folder)
     file = file_of_run(folder, "mission.toml", "RUN_DIR|LOG")
-    loaded = cache(partial(load_mission, str(file)))
+    read = read_mission(str(file))
+    loaded = cache(read.mission)
 
     def mission_of(start: Start) -> Mission:
         mission = loaded(start.profile)
         if start.terrain == terrain_of(mission):
             return mission
-        if (elevation := elevation_file(str(file))) is not None:
+        if (elevation := read.elevation_file) is not None:
             rule = "the elevation file has changed since the flight"
             remedy = f"Put the file of the flight there, or name it in {file}."
-            raise InputError("terrain.file", elevation, rule, remedy)
+            raise InputError("terrain.file", str(elevation), rule, remedy)
         rule = "the terrain that it gives in advance has changed since the flight"
         remedy = "Give the run folder with the mission.toml that was flown."
         raise InputError("terrain", str(file), rule, remedy)

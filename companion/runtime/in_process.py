@@ -99,7 +99,7 @@ def loop_in_process(
     planner: PlanFunction,
     stop_asked: Callable[[], bool] = lambda: False,
 ) -> Loop:
-    """The loop of a flight in lockstep, for callers that fly it turn by turn.
+    """The loop of a session in lockstep, for callers that fly it turn by turn.
 
     They say who is to `record` it, if anybody.  stop_asked: ends the mission, as Ctrl-C does; it is
     asked in each turn.  Errors of session and planner are raised.
@@ -108,7 +108,6 @@ def loop_in_process(
         session,
         VehicleLink(vehicle),
         PlannerHere(planner),
-        lockstep=True,
         clock=lambda: vehicle.now_us * 1e-6,
         stop_asked=stop_asked,
     )

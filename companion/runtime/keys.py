@@ -4,9 +4,12 @@ FILE        a phrase, or 64 hexadecimal digits, on one line; nobody else may rea
 FILE.time   the newest time stamp, and the clock (microseconds since 1970) when it was kept
 """
 
+import contextlib
 import math
 import os
 import stat
+from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final, final
 
@@ -27,42 +30,40 @@ StoredTimestamp = tuple[int, float]
 """What FILE.time holds: a time stamp, and the clock in seconds."""
 
 
+def _clock_s() -> float:
+    return datetime.now(UTC).timestamp()
+
+
 @final
 class SigningKey:
-    """A key from its file."""
+    """A key from its file, and what signs by it from now on."""
 
-    def __init__(self, path: Path) -> None:
-        """InputError if the file, or FILE.time beside it, cannot be used."""
-        self.failure: str | None = None
-        """Why the time stamp could not be kept lately; the flight goes on."""
-        self._key = key_of(_phrase(path))
-        self._kept_in = path.with_name(path.name + ".time")
-        self._kept = _kept(self._kept_in)
+    def __init__(self, path: Path, clock: Callable[[], float] = _clock_s) -> None:
+        """clock: seconds since 1970, as far as this computer knows.
 
-    def signing(self, *, clock_s: float) -> Signing:
-        """Signs from now on; clock_s: seconds since 1970, as far as this computer knows.
-
-        InputError if the time stamp cannot be kept.
+        InputError if the file, or FILE.time beside it, cannot be used.
         """
-        first = first_timestamp(clock_s, self._kept)
-        self.save(first, clock_s)
-        if self.failure is not None:
-            rule = f"the time stamp cannot be kept beside it ({self.failure})"
-            raise _wrong(self._kept_in, rule, "Let the folder be written.")
-        return Signing(key=self._key, timestamp=first)
-
-    def save(self, timestamp: int, clock_s: float) -> None:
-        """Save the time stamp atomically; never raises."""
-        new = self._kept_in.with_name(f"{self._kept_in.name}.{os.getpid()}")
-        self.failure = None
+        key, self._kept_in, self._clock = key_of(_phrase(path)), Path(f"{path}.time"), clock
+        self.signing = Signing(key=key, timestamp=first_timestamp(clock(), _kept(self._kept_in)))
         try:
-            with os.fdopen(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:
-                file.write(f"{timestamp} {round(clock_s * 1e6)}\n")
-                file.flush()
-                os.fsync(file.fileno())
-            new.replace(self._kept_in)
+            self._save()
         except OSError as error:
-            self.failure = error.strerror
+            rule = f"the time stamp cannot be kept beside it ({error.strerror})"
+            raise _wrong(self._kept_in, rule, "Let the folder be written.") from None
+
+    def save(self) -> None:
+        """Keep the time stamp for the next process; never raises: the flight goes on."""
+        with contextlib.suppress(OSError):
+            self._save()
+
+    def _save(self) -> None:
+        """Atomically."""
+        new = self._kept_in.with_name(f"{self._kept_in.name}.{os.getpid()}")
+        with os.fdopen(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:
+            file.write(f"{self.signing.timestamp} {round(self._clock() * 1e6)}\n")
+            file.flush()
+            os.fsync(file.fileno())
+        new.replace(self._kept_in)
 
 
 def first_timestamp(clock_s: float, kept: StoredTimestamp | None) -> int:

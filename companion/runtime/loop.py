@@ -65,14 +65,14 @@ class Loop:
         self,
         session: Session,
         link: Link,
-        planner: PlannerProcess | PlannerHere,
+        planner: PlannerProcess | PlannerHere | None = None,
         *,
-        lockstep: bool,
         clock: Clock,
-        stop_asked: Callable[[], bool],
+        stop_asked: Callable[[], bool] = lambda: False,
         person: Terminal | None = None,
         in_flight: bool = False,
     ) -> None:
+        """planner: None: nothing is planned."""
         self.session, self.link, self.clock = session, link, clock
         self.record: Callable[[Output], None] = lambda _: None
         """Records what was done, now or soon."""
@@ -85,15 +85,17 @@ class Loop:
             session,
             clock=clock,
             on_failure=self._on_failure,
-            watches_time=not lockstep,
+            watches_time=not session.context.lockstep,
         )
         self._planner: PlannerProcess | PlannerHere | None = planner
-        self._lockstep, self._stop_asked, self._person = lockstep, stop_asked, person
-        self._in_flight = in_flight
+        self._lockstep, self._in_flight = session.context.lockstep, in_flight
+        self._stop_asked, self._person = stop_asked, person
         self._calls: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         """What other threads have to tell the session in the next turn."""
         self._stopping = False
-        self._began_s = self._heard_s = math.nan
+        self.heard_s = math.nan
+        """When the vehicle was heard, or could not be."""
+        self._began_s = math.nan
         self._read_s = math.nan
         """When all that had arrived was read."""
         self._since_s = math.nan
@@ -114,7 +116,7 @@ class Loop:
 
     def turns(self) -> Iterator[None]:
         """The same, turn by turn."""
-        self._began_s = self._heard_s = self._read_s = self.clock()
+        self._began_s = self.heard_s = self._read_s = self.clock()
         try:
             if not self._lockstep:
                 self.session.silence(0.0)  # the first heartbeat waits for nobody
@@ -156,11 +158,11 @@ class Loop:
                 self.link.receive(_POLL_S)
             self._hear(0.0 if listens else _POLL_S)
             self._carry_out(self.session.run())
-            if self.clock() - self._heard_s >= _DEAF_S:
-                self._heard_s = self.clock()
+            if self.clock() - self.heard_s >= _DEAF_S:
+                self.heard_s = self.clock()
                 if listens:
                     self.session.silence(0.0)
-        self.flown.loads, self._heard_s = False, self.clock()  # from now on it is waited for
+        self.flown.loads, self.heard_s = False, self.clock()  # from now on it is waited for
         for _ in range(_MOST_WAITING if listens else 0):
             if self.link.receive(0.0) is None:
                 break
@@ -182,7 +184,7 @@ class Loop:
         while out.awaits_plan and self._goes_on:  # a planner may hang, or may have died
             self._carry_out(out)
             self._hear(_POLL_S)
-            self._heard_s = self.clock()  # the vehicle was not silent: it was made to wait
+            self.heard_s = self.clock()  # the vehicle was not silent: it was made to wait
             out = self.session.run()
         self._carry_out(out)
         if self.flown.heard:
@@ -211,7 +213,7 @@ class Loop:
         for data, sender, at_s in arrived:
             if self.session.receive(data, at_s):
                 self.link.answer_to(sender)
-                self._heard_s = at_s
+                self.heard_s = at_s
                 if not self.flown.heard:
                     self.flown.heard, self._began_s = True, at_s
 
@@ -231,7 +233,7 @@ class Loop:
             else:
                 if answer is not None:
                     self._on_plan(*answer)
-        silent_s, quiet_s = self.clock() - self._heard_s, _SILENCE_S
+        silent_s, quiet_s = self.clock() - self.heard_s, _SILENCE_S
         if self._lockstep:
             quiet_s = _LOCKSTEP_SILENCE_S if self.flown.heard else _LOCKSTEP_NOBODY_S
         if silent_s >= quiet_s:
@@ -312,7 +314,6 @@ def fly(
     link: Link,
     folder: RunFolder,
     *,
-    lockstep: bool,
     on_progress: Callable[[FlightSummary], None],
     stop_asked: Callable[[], bool],
     planner: PlannerProcess | PlannerHere | None = None,
@@ -330,10 +331,11 @@ def fly(
     The caller's thread watches; on_progress and stop_asked are called in threads of their own.
     """
     load_libraries()  # now, or it would delay setpoints
+    lockstep = session.context.lockstep
     planner = planner or PlannerProcess(hurries=not lockstep)
     loop = Loop(
         session, link, planner,
-        lockstep=lockstep, clock=clock, stop_asked=stop_asked, person=person, in_flight=in_flight,
+        clock=clock, stop_asked=stop_asked, person=person, in_flight=in_flight,
     )  # fmt: skip
     recorder = Recorder(folder, clock, loop.lost, persist)
     writer = recorder if lockstep else WriterThread(recorder)

@@ -17,9 +17,9 @@ import pyproj
 
 from companion.errors import InputError
 from companion.geodesy import BoolArray, FloatArray, LocalFrame
-from companion.ranges import NotNegative
+from companion.ranges import Altitude, NotNegative
 from companion.sources.files import answer
-from companion.sources.tables import Altitude, FileName, Table
+from companion.sources.tables import FileName, Table
 from companion.world.known_map import KnownMap
 from companion.world.simulated import true_map
 from companion.world.terrain import GridTerrain
@@ -48,43 +48,44 @@ class ElevationTable(Table):
     """
 
     file: FileName
-    """Relative to the folder of the file that names it."""
+    """Relative to the folder of the file that names it; here absolute (`located`)."""
     vertical_datum: VerticalDatum
     nodata: Literal["sea"] | Altitude | None = None
     """What lies where the file has no height: the sea, or ground AMSL; None: that is not known."""
 
-    def terrain(self, folder: Path, frame: LocalFrame, area_m: _Area) -> GridTerrain:
+    def terrain(self, frame: LocalFrame, area_m: _Area) -> GridTerrain:
         """The terrain of an area, of which only the part about it is read.
 
         InputError, too, if it does not cover the area, or has holes that nodata does not fill.
         """
-        terrain, unknown = self._read(folder / self.file, frame, area_m)
+        terrain, unknown = self._read(frame, area_m)
         if count := np.count_nonzero(unknown):
             rule = f"{count} of its cells in [area] have no height, or lie beyond its edge"
             remedy = 'Write terrain.nodata = "sea" or a height AMSL, or make [area] smaller.'
-            raise _refusal(folder / self.file, rule, remedy)
+            raise _refusal(self.file, rule, remedy)
         return terrain
 
-    def _read(self, path: Path, frame: LocalFrame, area_m: _Area) -> tuple[GridTerrain, BoolArray]:
+    def _read(self, frame: LocalFrame, area_m: _Area) -> tuple[GridTerrain, BoolArray]:
         """The cells whose middles enclose an area, and which of them have no height, even so.
 
         Both from south to north; what is not known counts as _LOWEST_M in the first.
         """
         rasterio = importlib.import_module("rasterio")  # 0.2 s and 100 MB that few worlds need
-        if not (answer(path.is_file) and str(path).isprintable()):  # GDAL takes UTF-8 alone
-            raise _refusal(path, "no such file, or of an odd name", _NAME_ONE)
+        path = Path(self.file)
+        if not (answer(path.is_file) and self.file.isprintable()):
+            raise _refusal(self.file, "no such file, or of an odd name", _NAME_ONE)
         driver = "SRTMHGT" if path.suffix.lower() == ".hgt" else "GTiff"
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of files without coordinates: refused below
                 with rasterio.open(path, driver=driver) as source:
                     for rule, remedy in _oddities(source, self.vertical_datum):
-                        raise _refusal(path, rule, remedy)
+                        raise _refusal(self.file, rule, remedy)
                     whole = _grid(source, frame)
                     border = np.meshgrid(*(np.linspace(*side, _BORDER_POINTS) for side in area_m))
                     places = np.array(whole.nodes(*border))
                     for rule, remedy in _unfit(whole.cell_m, places):
-                        raise _refusal(path, rule, remedy)
+                        raise _refusal(self.file, rule, remedy)
                     rows, columns = (
                         range(math.floor(axis.min() - 0.01), math.ceil(axis.max() + 0.01) + 1)
                         for axis in places
@@ -95,7 +96,7 @@ class ElevationTable(Table):
                     heights = source.read(1, window=window, boundless=True, masked=True)[::-1]
         except rasterio.errors.RasterioError as error:
             rule = f"it cannot be read ({' '.join(str(error).split())})"
-            raise _refusal(path, rule, _NAME_ONE) from None
+            raise _refusal(self.file, rule, _NAME_ONE) from None
         beyond = ~np.outer(np.isin(rows, range(height)), np.isin(columns, range(width)))
         unknown = beyond | np.ma.getmaskarray(heights) | ~np.isfinite(heights.data)
         heights_m = heights.data.astype(np.result_type(heights.dtype, np.float32))
@@ -106,7 +107,7 @@ class ElevationTable(Table):
         if heights_m.min() < _LOWEST_M or heights_m.max() > _HIGHEST_M:
             rule = f"its heights run from {known_m.min():g} to {known_m.max():g} m, which is not "
             rule += "this earth"
-            raise _refusal(path, rule, "Name a file of elevations in metres.")
+            raise _refusal(self.file, rule, "Name a file of elevations in metres.")
         south = whole.south + rows.start * whole.step_north
         west = whole.west + columns.start * whole.step_east
         return replace(whole, heights_m=heights_m, south=south, west=west), unknown
@@ -124,28 +125,28 @@ class KnownElevationTable(ElevationTable):
 
         InputError, too, if it is not known anywhere on the map.
         """
-        (rows, columns), path = blank.shape, Path(self.file)  # `complete` has made it absolute
+        rows, columns = blank.shape
         north_m = blank.north_min_m, blank.north_min_m + rows * blank.cell_m
         east_m = blank.east_min_m, blank.east_min_m + columns * blank.cell_m
-        terrain, unknown = self._read(path, frame, (north_m, east_m))
+        terrain, unknown = self._read(frame, (north_m, east_m))
         if unknown.all():
             rule = "it has no height anywhere on the map"
-            raise _refusal(path, rule, "Name the file of this place.")
+            raise _refusal(self.file, rule, "Name the file of this place.")
         upper_m = _highest_m(terrain, blank) + self.datum_error_m
         if unknown.any():
             holes = replace(terrain, heights_m=unknown.astype(np.uint8))
             upper_m[_highest_m(holes, blank) > 0.0] = np.inf
         return upper_m
 
-    def height_m(self, folder: Path, latitude_deg: float, longitude_deg: float) -> float | None:
+    def height_m(self, latitude_deg: float, longitude_deg: float) -> float | None:
         """The highest of its cells about a place, metres AMSL; None: one of them has no height."""
         frame = LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
-        grid = self._read(folder / self.file, frame, ((0.0, 0.0), (0.0, 0.0)))
+        grid = self._read(frame, ((0.0, 0.0), (0.0, 0.0)))
         return None if grid[1].any() else float(grid[0].heights_m.max())
 
 
-def _refusal(path: Path, rule: str, remedy: str) -> InputError:
-    return InputError("terrain.file", str(path), rule, remedy)
+def _refusal(file: str, rule: str, remedy: str) -> InputError:
+    return InputError("terrain.file", file, rule, remedy)
 
 
 def _oddities(source: Any, vertical_datum: str) -> Iterator[tuple[str, str]]:

@@ -124,6 +124,17 @@ def toml_table(text: str, where: str) -> RawTable:
         raise InputError("file", where, rule, remedy) from None
 
 
+def located(table: RawTable, folder: Path) -> RawTable:
+    """A world or a mission that names its elevation file, if it does, by an absolute path.
+
+    folder: where it names it from.
+    """
+    terrain = table.get("terrain")
+    if not (isinstance(terrain, dict) and isinstance(terrain.get("file"), str)):
+        return table
+    return table | {"terrain": terrain | {"file": str((folder / terrain["file"]).absolute())}}
+
+
 def json_table(path: Path, field: str, remedy: str) -> RawTable:
     """The object in a JSON file.  Raises InputError about the field."""
 

@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, NamedTuple, get_args
+from typing import Annotated, Any, Final, Literal, get_args
 
 import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag
@@ -30,9 +30,9 @@ from companion.planner import rules
 from companion.planner.rules import Broken
 from companion.planner.settings import Place, PlannerSettings, Task
 from companion.profiles import PROFILES, Weights
-from companion.ranges import NotNegative, Positive
+from companion.ranges import Altitude, NotNegative, Positive
 from companion.sources.elevation import KnownElevationTable
-from companion.sources.files import WAYPOINTS, RawTable, begins_as, plain, within
+from companion.sources.files import WAYPOINTS, RawTable, begins_as, located, plain, within
 from companion.sources.plan_file import (
     Ground,
     read_plan,
@@ -41,7 +41,6 @@ from companion.sources.plan_file import (
     with_plan,
 )
 from companion.sources.tables import (
-    Altitude,
     AreaTable,
     FileName,
     OriginTable,
@@ -238,7 +237,7 @@ class StatedTable(Table):
     highest_amsl_m: Altitude
     """The ground is nowhere higher than this."""
 
-    def height_m(self, _folder: Path, *_place_deg: float) -> float:
+    def height_m(self, *_place_deg: float) -> float:
         """The highest that it may be at a place, metres AMSL."""
         return self.highest_amsl_m
 
@@ -340,21 +339,14 @@ class MissionTable(Table):
 # --- what other files hold that it names
 
 
-class MissionFile(NamedTuple):
-    """A mission file with what the files that it names hold."""
+def complete(given: RawTable, folder: Path, where: str) -> tuple[RawTable, tuple[str, ...]]:
+    """A table with what other files hold that it names, and notes for people: what was left out.
 
-    table: RawTable
-    notes: tuple[str, ...]
-    """What was assumed and what was left out, for people."""
-    is_whole: bool
-    """Whether it was so from the beginning: it names no other file."""
-
-
-def complete(given: RawTable, folder: Path, where: str) -> MissionFile:
-    """Take into a table what other files hold that it names.  Raises InputError about them."""
-    table, notes = given, list[str]()
+    The same table, if it names none.  Raises InputError about them.
+    """
+    table, notes = located(given, folder), list[str]()
     if isinstance(given.get("plan"), str):
-        table, notes = _with_plan(given, folder, where)
+        table, notes = _with_plan(table, folder, where)
     if isinstance(asked := given.get("threats"), str | dict):
         threats = _threats({"file": asked} if isinstance(asked, str) else asked, folder, where)
         notes += threats.notes
@@ -362,11 +354,7 @@ def complete(given: RawTable, folder: Path, where: str) -> MissionFile:
         for key, zones in (("keep_outs", threats.keep_outs), ("keep_ins", threats.keep_ins)):
             if zones and isinstance(table.get(key, []), list):
                 table[key] = [*table.get(key, []), *zones]
-    terrain = given.get("terrain")
-    if isinstance(terrain, dict) and isinstance(terrain.get("file"), str):
-        file = str((folder / terrain["file"]).absolute())
-        table = table | {"terrain": terrain | {"file": file}}
-    return MissionFile(table=table, notes=tuple(notes), is_whole=table is given)
+    return table, tuple(notes)
 
 
 def _threats(asked: RawTable, folder: Path, where: str) -> Zones:
@@ -385,7 +373,7 @@ def _threats(asked: RawTable, folder: Path, where: str) -> Zones:
 def _with_plan(table: RawTable, folder: Path, where: str) -> tuple[RawTable, list[str]]:
     path, field = folder / table["plan"], f"{where}: plan"
     read = read_waypoint_list if begins_as(path, WAYPOINTS) else read_plan
-    plan = read(path, field, _ground(table, folder, where))
+    plan = read(path, field, _ground(table, where))
     if plan.targets and "targets" in table:
         rule = f"{plan.name} has waypoints too"
         raise InputError(f"{where}: targets", len(plan.targets), rule, "Remove one of them.")
@@ -397,7 +385,7 @@ def _with_plan(table: RawTable, folder: Path, where: str) -> tuple[RawTable, lis
     return whole, notes
 
 
-def _ground(table: RawTable, folder: Path, where: str) -> Ground | None:
+def _ground(table: RawTable, where: str) -> Ground | None:
     """The ground that [terrain] knows, for altitudes above it; None: it says nothing."""
     if not isinstance(given := table.get("terrain"), dict):
         return None
@@ -405,7 +393,7 @@ def _ground(table: RawTable, folder: Path, where: str) -> Ground | None:
 
     def height_m(latitude_deg: float, longitude_deg: float) -> float | None:
         with within(where):
-            return terrain.height_m(folder, latitude_deg, longitude_deg)
+            return terrain.height_m(latitude_deg, longitude_deg)
 
     return height_m
 

@@ -22,10 +22,8 @@ from pydantic_core import PydanticCustomError
 
 from companion.errors import InputError
 from companion.planner.rules import Broken
-from companion.ranges import Longitude
+from companion.ranges import Horizontal, Longitude
 
-Horizontal = Annotated[float, Field(ge=-1e6, le=1e6)]
-Altitude = Annotated[float, Field(ge=-500.0, le=50_000.0)]
 FileName = Annotated[str, Field(min_length=1, max_length=1000)]
 _RULE: Final = "rule"
 """Of an error: a rule of ours is broken, its context says which."""

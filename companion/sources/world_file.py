@@ -1,7 +1,7 @@
 """A world.toml, as far as planning without a vehicle needs it; vehicle-sim reads all of it."""
 
 from collections.abc import Iterator
-from pathlib import Path
+from dataclasses import fields
 from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import ConfigDict, Discriminator, Field, Tag
@@ -9,20 +9,11 @@ from pydantic import ConfigDict, Discriminator, Field, Tag
 from companion.geodesy import LocalFrame
 from companion.planner import rules
 from companion.planner.rules import Broken
+from companion.ranges import Altitude, Horizontal
 from companion.sources.elevation import ElevationTable
 from companion.sources.files import RawTable
-from companion.sources.tables import (
-    Altitude,
-    AreaTable,
-    Horizontal,
-    OriginTable,
-    Table,
-    validated,
-)
+from companion.sources.tables import AreaTable, OriginTable, Table, keys_of, validated
 from companion.world.terrain import Peak, PeakTerrain, Terrain
-
-_Spread = Annotated[float, Field(ge=0.01, le=1e6)]
-"""Places are divided by it and squared: less would make them infinite."""
 
 
 class World(NamedTuple):
@@ -35,14 +26,8 @@ class World(NamedTuple):
     """Latitude and longitude."""
 
 
-class PeakTable(Table):
+class PeakTable(keys_of(Peak, *(field.name for field in fields(Peak)))):  # type: ignore[misc]
     """A mountain of eq. 1."""
-
-    north_m: Horizontal
-    east_m: Horizontal
-    height_amsl_m: Altitude
-    spread_north_m: _Spread
-    spread_east_m: _Spread
 
 
 class PeaksTable(Table):
@@ -86,15 +71,15 @@ class WorldTable(Table):
             yield "area", None, "it is missing", "Add area; see docs/files.md."
 
 
-def world_of(table: RawTable, folder: Path) -> World:
-    """The world that a table means; folder: where the file is.  InputError for a broken rule."""
+def world_of(table: RawTable) -> World:
+    """The world that a table means.  Raises InputError for the first rule that is broken."""
     world = validated(WorldTable, table)
     origin_deg = world.origin.latitude_deg, world.origin.longitude_deg
     if isinstance(world.terrain, ElevationTable):
         assert world.area is not None
         rules.refuse(rules.of_area(*world.area.sides_m))
         frame = LocalFrame(latitude_deg=origin_deg[0], longitude_deg=origin_deg[1])
-        terrain: Terrain = world.terrain.terrain(folder, frame, world.area.sides_m)
+        terrain: Terrain = world.terrain.terrain(frame, world.area.sides_m)
     else:
         terrain = PeakTerrain(
             peaks=tuple(Peak(**dict(peak)) for peak in world.terrain.peaks),

@@ -20,9 +20,9 @@ from companion.geodesy import LocalFrame, parts_within, short_way, straight_in_d
 from companion.planner import rules
 from companion.planner.rules import Broken
 from companion.planner.settings import Place, Task
-from companion.ranges import Latitude, Longitude, Positive
+from companion.ranges import Altitude, Horizontal, Latitude, Longitude, Positive
 from companion.sources.files import RawTable, json_table, plain
-from companion.sources.tables import Altitude, Horizontal, Table, validated
+from companion.sources.tables import Table, validated
 from companion.world.radars import Radar
 from companion.world.zones import CircleZone, PolygonZone, Zone
 

@@ -20,12 +20,13 @@ so that a power cut does not take them, except where the vehicle is simulated an
 import fcntl
 import io
 import os
+import shutil
 import struct
-from collections.abc import Generator, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from itertools import accumulate
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, final
+from typing import Annotated, Any, BinaryIO, Literal, Self, final
 
 import msgspec
 from msgspec import Meta, Struct
@@ -103,8 +104,10 @@ class RunFolder:
                 raise InputError("--out", str(path), rule, "Give a new folder, or --resume.")
             if "mission.toml" not in held:
                 for name, file in (beside or {}).items():
-                    replace_whole(path / name, file.read_bytes(), durable=durable)
-                replace_whole(path / "mission.toml", mission_toml.encode(), durable=durable)
+                    with replacing(path / name, durable=durable) as copy, file.open("rb") as source:
+                        shutil.copyfileobj(source, copy)
+                with replacing(path / "mission.toml", durable=durable) as text:
+                    text.write(mission_toml.encode())
             self._lock()
             if held:
                 self._go_on()
@@ -114,6 +117,9 @@ class RunFolder:
             if resume and held:  # the vehicle may be in the air
                 self.failure = error.strerror or str(error)
                 return
+            if error.filename in map(str, (beside or {}).values()):
+                rule, remedy = f"it cannot be read ({error.strerror})", "Put the file there again."
+                raise InputError("terrain.file", error.filename, rule, remedy) from error
             rule = f"it cannot be written to ({error.strerror})"
             raise InputError("--out", str(path), rule, "Give a folder that can be.") from error
 
@@ -218,7 +224,8 @@ class RunFolder:
     def _replace(self, name: str, content: bytes) -> str | None:
         """Replace a file; why it could not be."""
         try:
-            replace_whole(self.path / name, content, durable=self._durable)
+            with replacing(self.path / name, durable=self._durable) as file:
+                file.write(content)
         except OSError as error:
             return error.strerror or str(error)
         return None
@@ -302,22 +309,22 @@ def known_map(path: Path) -> KnownMap:
 # --- bytes
 
 
-def replace_whole(path: Path, content: bytes, *, durable: bool = True) -> None:
+@contextmanager
+def replacing(path: Path, *, durable: bool = True) -> Iterator[BinaryIO]:
     """Write a file so that at every moment there is a whole one under its name.
 
-    durable: a power cut leaves a whole one too, this one or the one before.
+    If that fails, it is the one before.  durable: a power cut leaves a whole one too.
     """
     new = path.with_name(f".{path.name}.new")
     try:
         with new.open("wb") as file:
-            file.write(content)
+            yield file
             if durable:
                 file.flush()
                 os.fsync(file.fileno())
         new.replace(path)
-    except OSError:
+    finally:
         new.unlink(missing_ok=True)
-        raise
 
 
 def _cut(path: Path, size: int, *, longest_torn: int = _LONGEST_TORN) -> None:

@@ -15,6 +15,7 @@ import pyproj
 import scipy
 
 from companion.geodesy import FloatArray, LocalFrame, wrap_deg
+from companion.ranges import Altitude, Horizontal, Spread
 
 _FEW = 400  # points that are projected one by one; more of them on a lattice are interpolated
 _NODES = 12  # Chebyshev nodes a side: 0.1 mm on windows of 200 km below 70 degrees of latitude
@@ -44,11 +45,11 @@ class Terrain(Protocol):
 class Peak:
     """One mountain of eq. 1: h exp(-((x - x0) / xs)^2 - ((y - y0) / ys)^2)."""
 
-    north_m: float
-    east_m: float
-    height_amsl_m: float
-    spread_north_m: float
-    spread_east_m: float
+    north_m: Horizontal
+    east_m: Horizontal
+    height_amsl_m: Altitude
+    spread_north_m: Spread
+    spread_east_m: Spread
 
 
 @final

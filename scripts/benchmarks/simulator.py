@@ -23,7 +23,7 @@ from running import Found, least, main
 from stepped import Called, Flight
 from tapped import BIN, end, messages, start_companion, start_vehicle, udp_socket
 
-from companion.config import folder_of, load_mission, mission_text
+from companion.config import folder_of, load_mission, read_mission
 from companion.planner.plan import plan
 from companion.runtime.compiler import load_kernel
 from companion.runtime.in_process import fly_in_process
@@ -119,7 +119,7 @@ def in_one_process(name: str) -> float:
     with (
         TemporaryDirectory() as folder,
         RunFolder(
-            Path(folder) / "run", mission_toml=mission_text(name), epoch_us=1, durable=False
+            Path(folder) / "run", mission_toml=read_mission(name).text, epoch_us=1, durable=False
         ) as run,
     ):
         fly_in_process(session, vehicle, planner=plan, folder=run)

@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "runtime"))
 from recorded import record
 from scripted_vehicle import Pair, Vehicle
 
-from companion.config import load_mission, mission_text
+from companion.config import load_mission, read_mission
 from companion.session import Session
 from companion.telemetry.inputs import HEADER, packed
 
@@ -56,7 +56,7 @@ _COUNT = """() => {
 
 def _hour(folder: Path) -> Path:
     """The run folder of a flight there and back across environment-1, flown in this process."""
-    text = mission_text("environment-1") + _BACK_AND_FORTH
+    text = read_mission("environment-1").text + _BACK_AND_FORTH
     file = folder / "mission.toml"
     file.write_text(text, encoding="utf-8")
     it = Pair(Session(load_mission(str(file)), seed=1, lockstep=True), Vehicle())

@@ -10,7 +10,7 @@ import pytest
 from companion import entry_points, library
 from companion.campaign import families
 from companion.campaign.run import fly_alone
-from companion.config import load_mission, mission_text
+from companion.config import load_mission, read_mission
 from companion.errors import InputError
 from companion.optimise.registry import OPTIMISERS
 from companion.paper.rivals import PLANNERS
@@ -66,7 +66,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 def mission_with(folder: Path, optimiser: str) -> str:
-    path, text = folder / "mission.toml", mission_text("environment-1")
+    path, text = folder / "mission.toml", read_mission("environment-1").text
     path.write_text(text.replace("overlap_m", f'optimiser = "{optimiser}"\noverlap_m', 1))
     return str(path)
 

@@ -145,7 +145,7 @@ def beat(system: int, component: int, kind: int = 2, autopilot: int = 12) -> byt
         (None, [beat(1, 1), beat(9, 1)], "systems 1, 9 were heard. Choose one with --system."),
         (None, [beat(255, 190, 6, 8)], "component 190 of system 255 without an autopilot's"),
         (None, [bytes(range(200))], "what comes in is no MAVLink. Check the baud rate"),
-        (None, [], "none was heard. Start it, or check --connect."),
+        (None, [], "no vehicle was heard. Start it, or check --connect."),
     ],
 )
 def test_without_a_vehicle_it_says_why(wanted: int | None, heard: list[bytes], words: str) -> None:
@@ -246,7 +246,7 @@ THEIRS = {"targets_from_vehicle": True, "targets_ne_m": ()}
 SIGNS = {"name": COPTER, "signs": True}
 NO_POSITION = {"loses": "GLOBAL_POSITION_INT LOCAL_POSITION_NED"}
 SETUPS: dict[str, tuple[str, str, str, Any]] = {  # what one of the checks says of a vehicle
-    "nothing heard": ("vehicle", "refused", "none was heard", {"loses": "HEARTBEAT"}),
+    "nothing heard": ("vehicle", "refused", "no vehicle was heard", {"loses": "HEARTBEAT"}),
     "another autopilot": ("vehicle", "refused", "vehicle.kind", {"autopilot": "ardupilot"}),
     "parameter to be set": ("COM_OBL_RC_ACT", "note", "", UNSAFE),
     "not set": ("COM_OBL_RC_ACT", "refused", "Set it to", UNSAFE | {"sets_parameters": False}),

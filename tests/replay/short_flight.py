@@ -53,7 +53,6 @@ def fly_short(
             session,
             link,
             folder,
-            lockstep=lockstep,
             on_progress=lambda _: None,
             stop_asked=stops,
             planner=PlannerHere(straight_plan),

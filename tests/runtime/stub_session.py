@@ -55,6 +55,7 @@ class StubSession:
     complaints: list[str] = field(default_factory=list)
     end: End | None = None
     has_left: bool = False
+    context: Any = field(default_factory=lambda: SimpleNamespace(lockstep=False))
     mission: Any = field(default_factory=lambda: load_mission("valley"))
     state: ClassVar[Any] = SimpleNamespace(vehicle=NOWHERE, flight=SimpleNamespace(target=0))
 

@@ -14,6 +14,7 @@ from companion.runtime.keys import SAVE_EVERY_S, SigningKey, first_timestamp
 
 CLOCK_S = 1_790_000_000.0
 PHRASE = "correct horse battery staple"
+BEAT = wire.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3).pack(codec(1))
 
 
 def key_file(folder: Path, content: bytes = PHRASE.encode(), mode: int = 0o600) -> Path:
@@ -27,11 +28,10 @@ def key_file(folder: Path, content: bytes = PHRASE.encode(), mode: int = 0o600) 
 @pytest.mark.parametrize("text", [PHRASE, "9f" * 32, "Zündschlüssel "])
 def test_the_file_holds_a_phrase_or_hexadecimals(tmp_path: Path, text: str, ending: str) -> None:
     """By whose key pymavlink believes what is signed."""
-    plain = wire.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3).pack(codec(1))
-    key = SigningKey(key_file(tmp_path, (text + ending).encode()))
+    key = SigningKey(key_file(tmp_path, (text + ending).encode()), lambda: CLOCK_S)
     other = wire.MAVLink(None)
     other.signing.secret_key = key_of(text)
-    assert other.check_signature(bytearray(key.signing(clock_s=CLOCK_S).sign(plain)), 1, 195)
+    assert other.check_signature(bytearray(key.signing.sign(BEAT)), 1, 195)
 
 
 REFUSED = {
@@ -65,20 +65,22 @@ def test_a_file_that_others_can_read_or_that_holds_no_key_or_time_is_refused_and
 
 
 def test_the_time_is_kept_for_us_alone_and_a_disk_that_fails_ends_no_flight(tmp_path: Path) -> None:
-    key, blocked = SigningKey(key_file(tmp_path)), tmp_path / f"vehicle.key.time.{os.getpid()}"
-    signing, kept = key.signing(clock_s=CLOCK_S), tmp_path / "vehicle.key.time"
-    assert signing.timestamp == timestamp_of(CLOCK_S)
+    key, kept = SigningKey(path := key_file(tmp_path), lambda: CLOCK_S), f"{path}.time"
+    first = timestamp_of(CLOCK_S)
+    assert key.signing.timestamp == first
+    blocked = Path(f"{kept}.{os.getpid()}")
     blocked.mkdir()
     with pytest.raises(InputError, match="cannot be kept"):
-        key.signing(clock_s=CLOCK_S)  # refused at the start
-    key.save(5, CLOCK_S)
-    assert key.failure is not None
+        SigningKey(path)  # refused at the start
+    for _ in range(7):
+        key.signing.sign(BEAT)
+    key.save()
+    assert Path(kept).read_text().split()[0] == str(first)
     blocked.rmdir()
-    key.save(signing.timestamp + 7, CLOCK_S)
-    assert key.failure is None
-    assert kept.stat().st_mode & 0o077 == 0
+    key.save()
+    assert Path(kept).stat().st_mode & 0o077 == 0
     assert sorted(each.name for each in tmp_path.iterdir()) == ["vehicle.key", "vehicle.key.time"]
-    assert kept.read_text().split()[0] == str(signing.timestamp + 7)
+    assert Path(kept).read_text().split()[0] == str(first + 7)
 
 
 @given(

@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -18,6 +19,7 @@ from companion.runtime import loop
 from companion.runtime.link import Link, is_setpoint
 from companion.runtime.planner_process import PlannerHere
 from companion.session import Session
+from companion.telemetry.flight_status import flight_status
 from companion.telemetry.flight_summary import FlightSummary
 
 
@@ -87,13 +89,8 @@ def run(
 
     session: by default one that flies in lockstep.
     """
-    in_lockstep = session is None
-    if in_lockstep:
-        session = Session(MISSION, seed=1, lockstep=True, go=True)
-    control = loop.Loop(
-        *(session, link, planner),
-        lockstep=in_lockstep, clock=link.clock, stop_asked=until,
-    )  # fmt: skip
+    session = session or Session(MISSION, seed=1, lockstep=True)
+    control = loop.Loop(session, link, planner, clock=link.clock, stop_asked=until)
     recorded = list[Output]()
     control.record = recorded.append
     control.run()
@@ -184,3 +181,27 @@ def test_in_lockstep_a_vehicle_may_come_ten_seconds_late(late_s: float, ends: Ou
     link = MadeUpLink(Vehicle(), speaks_from_s=33.0 + late_s)
     flown = run(link, SlowPlanner(link, 33.0), lambda: link.now_s > 53.0, ends=ends)
     assert flown.heard is (ends is Outcome.STOPPED)
+
+
+@pytest.mark.parametrize("here", [True, False])
+def test_the_loop_asks_who_is_there(here: bool) -> None:
+    """Somebody says go again and again, and hears why not."""
+    vehicle, heard = Vehicle(lockstep=False), list[str]()
+    link = MadeUpLink(vehicle)
+    person: Any = SimpleNamespace(hears=heard.append, says_go=lambda: True) if here else None
+    control = loop.Loop(
+        Session(MISSION, seed=1, lockstep=False),
+        link,
+        PlannerHere(straight_plan),
+        clock=link.clock,
+        stop_asked=lambda: vehicle.armed or vehicle.time_ms > 60_000,
+        person=person,
+    )
+    waits_for = [flight_status(control.flown).waits_for or "" for _ in control.turns()]
+    assert vehicle.armed is here
+    assert any("no terminal is here" in why for why in waits_for) is not here
+    if here:
+        at = heard.index("go: it takes off")
+        assert all("not ready" in why or "no vehicle" in why for why in heard[:at])
+        assert at > 0
+        assert "already" in heard[at + 1]

@@ -35,7 +35,7 @@ class Rig:
     def __init__(self, folder: RunFolder) -> None:
         self.session, self.folder, self.link = StubSession(), folder, SpeakingLink()
         self.planner: Any = PlannerHere(odd_planners.echoes)
-        self.options: dict[str, Any] = {"on_progress": lambda _: None, "lockstep": False}
+        self.options: dict[str, Any] = {"on_progress": lambda _: None}
         self.flight = Future[FlightSummary]()
         self.broken_s = math.inf
         self.thread = threading.Thread(target=self._fly, daemon=True)
@@ -132,7 +132,7 @@ def test_once_a_part_has_died_nothing_is_streamed_any_more_and_the_vehicle_is_to
     rig: Rig, death: Callable[[Rig], object], told: str, lockstep: bool
 ) -> None:
     """In time, which in lockstep nothing depends on.  The decider's hold is sent three times."""
-    (part, _, error), rig.options["lockstep"] = told.partition(": "), lockstep
+    (part, _, error), rig.session.context.lockstep = told.partition(": "), lockstep
     rig.breaks(lambda: death(rig))
     if part == "planner":
         rig.has_planner()
@@ -183,7 +183,8 @@ def test_a_slow_start_is_no_death_nor_is_a_slow_lockstep_or_a_terminal_that_bloc
     rig: Rig, lockstep: bool, at: int
 ) -> None:
     """Before the stream a part may take its time: a computer that starts up is busy."""
-    rig.options |= {"lockstep": lockstep, "on_progress": lambda _: rig.released.wait() and None}
+    rig.session.context.lockstep = lockstep
+    rig.options["on_progress"] = lambda _: rig.released.wait() and None
     rig.breaks(lambda: threading.Event().wait(0.6), at)
     with rig.flying():
         rig.link.wait_until(lambda: len(rig.session.received) > BREAKS_AT + 5)

@@ -13,7 +13,7 @@ import rasterio
 from numpy.typing import NDArray
 from rasterio.transform import Affine
 
-from companion.config import load_mission, load_world, mission_text, world_table
+from companion.config import load_mission, load_world, read_mission, world_table
 from companion.errors import InputError
 from companion.mission.mission import Mission
 from companion.sources.files import toml_text
@@ -116,7 +116,7 @@ PLANE = edited(
 KNOWN = edited(COPTER, 'terrain = {"file": "dem.tif", "vertical_datum": "EGM96"}')
 STATED = edited(COPTER, "terrain.highest_amsl_m = 840.0")
 BLIND = edited(STATED, "vehicle.scanner = false")
-FOREST = tomllib.loads(mission_text("forest"))
+FOREST = tomllib.loads(read_mission("forest").text)
 DOCUMENTS: dict[str, tuple[str, Any]] = {
     "mission": ("mission.toml", COPTER),
     "mission of a plane": ("mission.toml", PLANE),
@@ -133,7 +133,10 @@ DOCUMENTS: dict[str, tuple[str, Any]] = {
     ),
     "elevation file": ("x.tif", {"crs": "EPSG:4326"}),
     "world": ("world.toml", world_table("environment-1")),
-    "world of a file": ("world.toml", world_table("valley")),
+    "world of a file": (
+        "world.toml",
+        edited(world_table("valley"), 'terrain.file = "terrain.tif"'),
+    ),
 }
 """By the names that tables have for them: the name of the file, and what is in it."""
 

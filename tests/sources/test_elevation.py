@@ -26,7 +26,7 @@ AREA = ((-2_000.0, 3_000.0), (-4_000.0, 1_500.0))
 
 def read(path: Path, nodata: Any = None, frame: LocalFrame = FRAME) -> GridTerrain:
     table = ElevationTable(file=str(path), vertical_datum="EGM96", nodata=nodata)
-    return table.terrain(Path(), frame, AREA)
+    return table.terrain(frame, AREA)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from documents import DOCUMENTS, refusal, written
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.config import load_mission, load_world, mission_text
+from companion.config import load_mission, load_world, read_mission
 from companion.errors import InputError
 from companion.sources.files import json_table, plain, read_text, toml_text, with_settings, writing
 
@@ -91,7 +91,7 @@ def test_a_plan_is_a_plan_under_any_name(tmp_path: Path, name: bytes) -> None:
     with contextlib.suppress(UnicodeEncodeError):
         toml.write_text(f'plan = "{path.name}"\n', encoding="utf-8")
         assert load_mission(str(toml)).targets_ne_m == mission.targets_ne_m
-    mission_text(str(path)).encode()
+    read_mission(str(path)).text.encode()
     path.write_bytes(LIST)
     assert len(load_mission(str(path)).targets_ne_m) == 1
     path.write_bytes(b"<kml>")
@@ -106,4 +106,4 @@ def test_an_elevation_file_in_a_folder_whose_name_is_no_text_is_refused(tmp_path
     path = written(folder, "mission that knows the ground")
     assert re.search(r"terrain\.file = .*must be a valid string", refusal(load_mission, str(path)))
     path = written(folder, "world of a file")
-    assert re.search(r"terrain\.file = .*of an odd name", refusal(load_world, str(path)))
+    assert re.search(r"terrain\.file = .*must be a valid string", refusal(load_world, str(path)))

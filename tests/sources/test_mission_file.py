@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from planning import column_distance_m
 
-from companion.config import load_mission, mission_files
+from companion.config import load_mission, read_mission
 from companion.errors import InputError
 from companion.geodesy import FloatArray, LocalFrame
 from companion.optimise.registry import OPTIMISERS
@@ -185,7 +185,10 @@ def test_what_a_run_folder_keeps_of_a_mission_is_the_mission_without_its_files(
     terrain(tmp_path / "dem.tif")
     begun = mission(tmp_path, KNOWS)
     (file,) = tmp_path.glob("*.toml")
-    text, beside = mission_files(str(file))
+    read = read_mission(str(file))
+    file.write_text("another by now")  # what is flown is what was read, and that is kept
+    assert read.mission().task == begun.task
+    text, beside = read.files()
     with RunFolder(tmp_path / "run", mission_toml=text, beside=beside, epoch_us=1):
         pass
     (tmp_path / "dem.tif").unlink()

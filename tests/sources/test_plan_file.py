@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pymavlink import mavwp
 from pymavlink.dialects.v20 import all as wire
 
-from companion.config import load_mission, mission_text
+from companion.config import load_mission, read_mission
 from companion.mission.mission import EndAction, Mission
 from companion.sources.plan_file import read_plan, read_waypoint_fence, read_waypoint_list
 
@@ -145,11 +145,11 @@ def test_a_plan_alone_is_a_mission(name: str, tmp_path: Path) -> None:
     """The run folder gets all of it."""
     mission = load_mission(str(MISSIONS / name))
     assert mission.name == name.removesuffix(".plan")
-    text, alone = mission_text(str(MISSIONS / name)), tmp_path / "mission.toml"
+    text, alone = read_mission(str(MISSIONS / name)).text, tmp_path / "mission.toml"
     alone.write_text(text, encoding="utf-8")
     again, fields = load_mission(str(alone)), {*Mission.__slots__} - {"notes"}
     assert all(getattr(again, each) == getattr(mission, each) for each in fields)
-    assert mission_text(str(alone)) == text
+    assert read_mission(str(alone)).text == text
 
 
 def test_a_plan_may_be_of_zones_alone_beside_targets_of_the_mission(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from documents import COPTER, DOCUMENTS, edited, loaded, mission, refusal, table
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from companion.config import load_mission, load_world, mission_text
+from companion.config import load_mission, load_world, read_mission
 from companion.errors import InputError
 
 REFUSALS = table_of("refusals.txt")
@@ -137,4 +137,4 @@ def test_any_value_anywhere_is_taken_or_one_line(
     with contextlib.suppress(InputError):
         loaded(path)
         if path.name != "world.toml":
-            mission_text(str(path))
+            assert read_mission(str(path)).text

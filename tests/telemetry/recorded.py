@@ -6,7 +6,7 @@ from typing import Any
 from pymavlink.dialects.v20 import all as wire
 from scripted_vehicle import Pair, Vehicle
 
-from companion.config import load_mission, mission_text
+from companion.config import load_mission, read_mission
 from companion.mission.state import Phase
 from companion.session import Session
 from companion.sources.files import toml_table, toml_text
@@ -33,7 +33,7 @@ east_m = 1500.0
 
 def short_mission(**tables: Any) -> str:
     """A mission file: environment-1 with one target, 5 km away."""
-    table = toml_table(mission_text("environment-1"), "environment-1")
+    table = toml_table(read_mission("environment-1").text, "environment-1")
     target = {"north_m": 4000.0, "east_m": 3000.0}
     return toml_text({**table, "targets": [target], **tables})
 

@@ -1,5 +1,6 @@
 """A run folder: what is written is there at once, and whole to the last record, however it ends."""
 
+import filecmp
 import json
 import math
 import resource
@@ -216,6 +217,28 @@ def test_a_log_of_many_hours_is_looked_through_in_little_memory(tmp_path: Path) 
     finally:
         tracemalloc.stop()
     assert path.stat().st_size == len(whole)
+
+
+def test_a_large_file_that_the_mission_names_is_copied_whole_and_in_little_memory(
+    tmp_path: Path,
+) -> None:
+    """One that cannot be read is refused in one line, and leaves what is there."""
+    tile, out = tmp_path / "dem.tif", tmp_path / "run"
+    tile.write_bytes(bytes(range(256)) * 65_536)  # 17 MB
+    tracemalloc.start()
+    try:
+        RunFolder(out, mission_toml="", beside={"terrain.tif": tile}, epoch_us=1).close()
+        assert tracemalloc.get_traced_memory()[1] < 4_000_000
+    finally:
+        tracemalloc.stop()
+    assert filecmp.cmp(out / "terrain.tif", tile, shallow=False)
+    (out / "terrain.tif").rename(kept := tmp_path / "terrain.tif")
+    with pytest.raises(
+        InputError, match=r"terrain\.file = '[^\n]*/gone': it cannot be read [^\n]*\.$"
+    ):
+        RunFolder(tmp_path, mission_toml="", beside={kept.name: tmp_path / "gone"}, epoch_us=1)
+    assert filecmp.cmp(kept, tile, shallow=False)
+    assert not [*tmp_path.glob(".*")]
 
 
 def test_inputs_that_grow_while_they_are_read_are_no_torn_ones(folder: RunFolder) -> None:
