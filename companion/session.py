@@ -67,7 +67,7 @@ _SILENT_S = 3.0
 
 _Handler = Callable[[Incoming], None]
 _Reader = Callable[[Message, float], None]
-_frame_of: Final = attrgetter("frame")
+_frame_of, _sender_of = attrgetter("frame"), attrgetter("system", "component")
 
 
 @final
@@ -191,7 +191,9 @@ class Session:
         self._out.inputs.append(("receive", b"".join(map(_frame_of, messages)), at_s))
         if self.signing is not None and (complaint := self.signing.complaint(self.now_s)):
             self.complain(complaint)
-        if heard := any(map(self.selector.is_ours, messages)):
+        ours = self.selector.system_id, AUTOPILOT_COMPONENT
+        heard = ours in map(_sender_of, messages) or any(map(self.selector.may_be_ours, messages))
+        if heard:
             self._silence_told_s = 0.0
         return heard
 
@@ -250,15 +252,35 @@ class Session:
         self._meet_deadlines()
 
     def run(self) -> Output:
-        """Handle the received messages, as far as possible."""
+        """Handle the received messages: time, sender if it has our ids, then what each means.
+
+        As far as possible: a position that has to wait for a plan stays, and what came after it.
+        """
         if self._out.inputs:  # else it changes nothing
             self._out.inputs.append(("run",))
         while self._waiting:
             heard = self._waiting.popleft()
-            if not self._on_message(heard):
-                self._waiting.appendleft(heard)
-                self._out.awaits_plan = True
-                break
+            number, component = heard.number, heard.component
+            counts = heard.message is not None or number in TIME_ONLY_MESSAGES
+            if counts and (number == _HEARTBEAT or self.selector.system_id is None):
+                self._select(heard)
+            is_ours = counts and heard.system == self.selector.system_id
+            if is_ours and component == AUTOPILOT_COMPONENT:
+                if number == _POSITION and self._plan.due_s < math.inf and self._lacks_plan(heard):
+                    self._waiting.appendleft(heard)
+                    self._out.awaits_plan = True
+                    break
+                counts = self._takes_time(heard)
+            self._out.record.append((self.clock.now_s, heard.frame))
+            if component == COMPANION_COMPONENT:  # another process with our ids may have sent it
+                twins = self._outbox.duplicates
+                self._handle(twins.heard(heard.frame, self.selector.system_id, self.now_s))
+            if counts and number in COMMANDS:
+                self._serve(heard)
+            if counts and is_ours:
+                table = self._handlers
+                for handle in table.get((component, number)) or table.get((component, None), ()):
+                    handle(heard)
         since_s = self.clock.now_s - self._keeper.looked_at_s
         if not 0.0 <= since_s < PERIOD_S or self.state.flight.known is not self._keeper.known:
             self._keep()
@@ -308,32 +330,6 @@ class Session:
         return messages
 
     # --- messages
-
-    def _on_message(self, heard: Incoming) -> bool:
-        """Handle one message: its time, its sender if that has our ids, then its meaning.
-
-        False, without effect, for a position that has to wait for a plan.
-        """
-        number, component = heard.number, heard.component
-        counts = heard.message is not None or number in TIME_ONLY_MESSAGES
-        if counts and (number == _HEARTBEAT or self.selector.system_id is None):
-            self._select(heard)
-        is_ours = counts and heard.system == self.selector.system_id
-        if is_ours and component == AUTOPILOT_COMPONENT:
-            if number == _POSITION and self._plan.due_s < math.inf and self._lacks_plan(heard):
-                return False
-            counts = self._takes_time(heard)
-        self._out.record.append((self.clock.now_s, heard.frame))
-        if component == COMPANION_COMPONENT:  # another process with our ids may have sent it
-            twin = self._outbox.duplicates.heard(heard.frame, self.selector.system_id, self.now_s)
-            self._handle(twin)
-        if counts and number in COMMANDS:
-            self._serve(heard)
-        if counts and is_ours:
-            table = self._handlers
-            for handle in table.get((component, number)) or table.get((component, None), ()):
-                handle(heard)
-        return True
 
     def _select(self, heard: Incoming) -> None:
         """Select our vehicle, as long as it is not known."""
@@ -476,8 +472,7 @@ class Session:
         if number == _POSITION or number == wire.MAVLINK_MSG_ID_SYSTEM_TIME:
             time_s = message.time_boot_ms * 1e-3
         elif number in TIME_ONLY_MESSAGES:
-            time_ms = boot_ms_of(heard.frame, number)
-            assert time_ms is not None
+            time_ms = boot_ms_of(heard.frame)
             if not self.clock.is_newer(number, time_ms):
                 return False
             time_s = time_ms * 1e-3

@@ -17,7 +17,7 @@ from typing import Any, Final, NamedTuple, final
 
 from fastcrc.crc16 import mcrf4xx
 
-from companion.mavlink.dialect import KINDS, Message, wire
+from companion.mavlink.dialect import KINDS, Message
 from companion.mavlink.signing import SECRETS, Signing, strip_signature
 from companion.printable import printable
 
@@ -30,13 +30,6 @@ _CHECKSUM, _SIGNATURE = 2, 13
 _SIGNED: Final = 0x01
 _BEGUN_AGAIN = 128
 _CRC: Final = Struct("<H")
-_BOOT_MS_AT: Final = {
-    wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 0,
-    wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 0,
-    wire.MAVLINK_MSG_ID_ATTITUDE: 0,
-    wire.MAVLINK_MSG_ID_SYSTEM_TIME: 8,
-}
-"""Offset of time_boot_ms in the payload, of what carries the time at which it was sent."""
 find_marker = re.compile(rb"\xfd(?:.[\x00\x01]|.?\Z)|\xfe", re.DOTALL).search
 """A possible start of frame: in MAVLink 2 only the signature flag may be set."""
 
@@ -44,43 +37,33 @@ find_marker = re.compile(rb"\xfd(?:.[\x00\x01]|.?\Z)|\xfe", re.DOTALL).search
 # --- a frame
 
 
-def frame_extent(data: bytes, at: int) -> tuple[int, int | None]:
-    """End of the frame with its header at `at`, and its message number.
+def frame_extent(data: bytes, at: int) -> tuple[int, int | None, bool]:
+    """End of the frame with its header at `at`, its message number, and whether it is intact.
 
-    Beyond the data and None while the header is not all there.
+    Intact: whole, of a known kind, with the right checksum, without flags that are not understood.
+    While the header is not all there: an end beyond the data, and None.
     """
-    if data[at] == V1:
-        if at + _HEADER_1 > len(data):
-            return at + _HEADER_1, None
-        return at + _HEADER_1 + data[at + 1] + _CHECKSUM, data[at + 5]
-    if at + _HEADER_2 > len(data):
-        return at + _HEADER_2, None
-    signature = _SIGNATURE if data[at + 2] & _SIGNED else 0
-    number = data[at + 7] | data[at + 8] << 8 | data[at + 9] << 16
-    return at + _HEADER_2 + data[at + 1] + _CHECKSUM + signature, number
+    is_first = data[at] == V1
+    head = at + (_HEADER_1 if is_first else _HEADER_2)
+    if head > len(data):
+        return head, None, False
+    sealed, flags = head + data[at + 1], 0 if is_first else data[at + 2]
+    number = data[at + 5] if is_first else data[at + 7] | data[at + 8] << 8 | data[at + 9] << 16
+    end, kind = sealed + _CHECKSUM + _SIGNATURE * (flags & _SIGNED), KINDS.get(number)
+    if kind is None or end > len(data) or flags > _SIGNED:
+        return end, number, False
+    if is_first and data[at + 1] > kind.unpacker.size:
+        return end, number, False  # it knows no fields beyond those of the kind: this is noise
+    checksum = mcrf4xx(data[at + 1 : sealed] + bytes((kind.crc_extra,)))
+    return end, number, checksum == data[sealed] | data[sealed + 1] << 8
 
 
 def intact_end(data: bytes, at: int) -> int:
-    """End of the intact frame that begins at `at`; 0 if there is none, or it is incomplete.
-
-    Intact: of a known kind, with the right checksum, without flags that are not understood.
-    """
+    """End of the intact frame that begins at `at`; 0 if there is none, or it is incomplete."""
     if at >= len(data) or data[at] not in (V1, V2):
         return 0
-    end, number = frame_extent(data, at)
-    kind = None if number is None or end > len(data) else KINDS.get(number)
-    if kind is None or (data[at] == V2 and data[at + 2] > _SIGNED):
-        return 0
-    if data[at] == V1 and data[at + 1] > kind.unpacker.size:
-        return 0
-    return end if _is_sealed(data[at:end], kind) else 0
-
-
-def _is_sealed(frame: bytes, kind: Any) -> bool:
-    """Whether the checksum of a whole frame is right."""
-    end = (_HEADER_2 if frame[0] == V2 else _HEADER_1) + frame[1]
-    covered = frame[1:end] + bytes((kind.crc_extra,))
-    return mcrf4xx(covered) == frame[end] | frame[end + 1] << 8
+    end, _, is_intact = frame_extent(data, at)
+    return end if is_intact else 0
 
 
 def number_of(frame: bytes) -> int:
@@ -111,10 +94,9 @@ def payload_as_sent(message: Message, size: int) -> bytes:
     return payload_of(frame, size)[:size] if frame else b""
 
 
-def boot_ms_of(frame: bytes, number: int) -> int | None:
-    """The time since boot at which a frame was sent, if its message contains it; ms."""
-    at = _BOOT_MS_AT.get(number)
-    return None if at is None else int.from_bytes(payload_of(frame, at + 4)[at : at + 4], "little")
+def boot_ms_of(frame: bytes) -> int:
+    """The time since boot at which a frame was sent, ms, if its message begins with that."""
+    return int.from_bytes(payload_of(frame, 4)[:4], "little")
 
 
 # --- messages
@@ -236,19 +218,24 @@ class Receiver:
         while (marker := find_marker(data, at)) is not None:
             passed += marker.start() - at
             at = marker.start()
-            end, number = frame_extent(data, at)
+            end, number, is_intact = frame_extent(data, at)
             kind = None if number is None else KINDS.get(number)
-            if kind is None and number is not None:  # no checksum: believed if a frame follows
-                may_be = data[at] == V2 and (end >= size or data[end] in (V1, V2))
-            else:  # the first protocol knows no fields beyond these: more is noise
-                may_be = kind is None or data[at] == V2 or data[at + 1] <= kind.unpacker.size
-            if may_be and end > size:
-                may_be = at < portion_at < size and bool(intact_end(data, portion_at))
-                if not may_be:
-                    break
-            elif may_be and self._take(data[at:end], kind, at_s, heard):
+            if is_intact:
+                self._take(data[at:end], kind, at_s, heard)
                 at = end
                 continue
+            if kind is None and number is not None:  # no checksum: believed if a frame follows
+                may_be = data[at] == V2 and (end >= size or data[end] in (V1, V2))
+            else:
+                may_be = kind is None or data[at] == V2 or data[at + 1] <= kind.unpacker.size
+            if may_be and end > size:
+                if not (at < portion_at < size and intact_end(data, portion_at)):
+                    break
+            elif may_be:
+                passed += 1
+                if kind is None:
+                    at = end
+                    continue
             passed += 1
             at += 1
         else:
@@ -258,21 +245,15 @@ class Receiver:
         self.passed += passed
         return heard
 
-    def _take(self, frame: bytes, kind: Any, at_s: float | None, heard: list[Incoming]) -> bool:
-        """Add the message of a frame unless it is rejected; returns whether the frame is intact."""
-        if kind is None:
-            self.passed += 1
-            return True
-        if not _is_sealed(frame, kind):
-            self.passed += 1
-            return False
+    def _take(self, frame: bytes, kind: Any, at_s: float | None, heard: list[Incoming]) -> None:
+        """Add the message of an intact frame unless it is rejected."""
         signed = frame[0] == V2 and frame[2] & _SIGNED
         self.signed += signed
         if self._signing is not None and not self._signing.accepts(frame):
-            return True
+            return
         if kind.id in SECRETS:
             self.passed += 1
-            return True
+            return
         plain, message = strip_signature(frame) if signed else frame, None
         if kind.id not in self._ignored:
             message = decoded(plain, kind)
@@ -284,4 +265,3 @@ class Receiver:
         lost += gap if gap < _BEGUN_AGAIN else 0
         self.counted[system, component] = sequence, frames + 1, lost
         heard.append(Incoming(plain, kind.id, system, component, message, at_s))
-        return True

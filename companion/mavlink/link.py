@@ -26,7 +26,7 @@ from companion.world.known_map import KnownMap
 TIME_ONLY_MESSAGES: Final = frozenset(
     {wire.MAVLINK_MSG_ID_ATTITUDE, wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED}
 )
-"""Messages of which only time_boot_ms is used: not decoded."""
+"""Messages of which only time_boot_ms is used, with which they begin: not decoded."""
 UNDECODED_MESSAGES: Final = IGNORED_MESSAGES | TIME_ONLY_MESSAGES
 
 _HEARTBEATS = 3  # of one system, and of no other, at one a second: then it is the vehicle
@@ -77,13 +77,10 @@ class VehicleSelector:
         names = ", ".join(str(system) for system in sorted(self.others))
         return f"systems {names} are heard, choose one with --system"
 
-    def is_ours(self, heard: Incoming) -> bool:
-        """Whether our autopilot sent this; before one is selected: whether any autopilot did."""
-        if heard.component != AUTOPILOT_COMPONENT:
-            return False
-        return heard.system == self.system_id or (
-            self.system_id is None and _is_an_autopilots(heard)
-        )
+    def may_be_ours(self, heard: Incoming) -> bool:
+        """Whether an autopilot sent this, as long as none is selected."""
+        is_first = heard.component == AUTOPILOT_COMPONENT
+        return self.system_id is None and is_first and _is_an_autopilots(heard)
 
     def on_heartbeat(self, heard: Incoming) -> bool:
         """Whether this heartbeat completes the selection."""

@@ -37,7 +37,7 @@ _MORE_SCANS = 2  # from rest, if the radar has left something out
 
 
 def on_path(state: State, stage: phases.Led, event: Event, turn: Turn) -> None:
-    """phases.Flying and returning: follow the leg, or hold while there is none."""
+    """phases.Flying and returning: follow the leg and scan at p_scan; hold while there is none."""
     if not isinstance(event, Position):
         if isinstance(event, Battery) and state.vehicle.battery_short_at_s is None:
             warn_of_battery(state, turn)
@@ -46,20 +46,48 @@ def on_path(state: State, stage: phases.Led, event: Event, turn: Turn) -> None:
         return
     if stage.path is None and looks_at_circle(state, turn):
         return
+    if state.vehicle.battery_short_at_s is not None or state.fence_unread_s is not None:
+        _stop_for_others(state, stage, turn)
+    if turn.trigger is not None:
+        return
+    if (path := stage.path) is None:
+        assert isinstance(stage, phases.Flying)  # what returns has a path
+        return _hover(state, stage, event, turn)
+    leg, hovers, velocity = path.leg, state.vehicle.traits.hovers, event.velocity_nea_m_s
+    at_m = path.reference.length_m
+    if path.circling and not may_leave(leg, at_m, event.position_nea_m, velocity):
+        return _circle(state, stage, event, turn)
+    returns = state.flight.way is Way.BACK
+    following.advance_reference(state, stage, path, event)
+    if returns and path.leg is not leg:  # onto what was the next stretch
+        way_back.take_next(state, path)
+    if state.now_s - stage.progress_at_s > _STUCK_S:
+        return turn.give_up(Reason.NOT_FOLLOWING)
+    departs = following.departs(state, stage, path, event, turn)
+    if departs is not None:
+        return _depart(state, departs, turn)
+    following.send_setpoint(state, path, event, turn)
+    stops = path.next_leg is None or path.stop is not None
+    if stops and following.is_stopped(state, path):
+        ends = _end_of_way if returns else _at_its_end
+        return ends(state, stage, path, turn)
+    speed = 0.0 if hovers else math.hypot(*velocity[:2])
+    if path.stop is not None or returns or not isinstance(stage, phases.Flying):
+        return
+    if stage.search is None and path.leg.wants_successor(path.reference, speed):
+        at_m = path.reference.length_m
+        start_scan(stage, path.leg.subpath.pose(at_m).point_nea_m, turn)
+
+
+def _stop_for_others(state: State, stage: phases.Led, turn: Turn) -> None:
+    """Stop for a battery that may not last, or a changed fence that is not known yet."""
     if state.vehicle.battery_short_at_s is not None:  # perhaps: it has to last a while
         if stage.phase is Phase.FLYING and gives_up_for_battery(state):
             following.stop(state, Reason.BATTERY_LOW, turn)
         warn_of_battery(state, turn)
     stops = stage.path is not None and stage.path.stop is not None
-    unread = state.fence_unread_s is not None and not stops
-    if unread and turn.trigger is None and waits_for_fence(state, turn.context):
+    if not stops and turn.trigger is None and waits_for_fence(state, turn.context):
         following.stop(state, Reason.FENCE_UNREAD, turn)
-    if turn.trigger is not None:
-        return
-    if stage.path is None:
-        assert isinstance(stage, phases.Flying)  # what returns has a path
-        return _hover(state, stage, event, turn)
-    return _lead(state, stage, stage.path, event, turn)
 
 
 def on_answer(state: State, stage: phases.Flying, event: Event, turn: Turn) -> None:
@@ -95,34 +123,6 @@ def zone_beside(task: Task, place: Vector) -> Zone | None:
     """The zone that a circle about this place comes too near to."""
     zone, gap_m = nearest(task.zones, place[0], place[1])
     return zone if gap_m < task.zone_clearance_m - _CIRCLE_SLACK_M else None
-
-
-def _lead(state: State, stage: phases.Led, path: OnPath, event: Position, turn: Turn) -> None:
-    """Advance the reference point and send it; on the way out scan at p_scan."""
-    leg, hovers, velocity = path.leg, state.vehicle.traits.hovers, event.velocity_nea_m_s
-    at_m = path.reference.length_m
-    if path.circling and not may_leave(leg, at_m, event.position_nea_m, velocity):
-        return _circle(state, stage, event, turn)
-    returns = state.flight.way is Way.BACK
-    following.advance_reference(state, stage, path, event)
-    if returns and path.leg is not leg:  # onto what was the next stretch
-        way_back.take_next(state, path)
-    if state.now_s - stage.progress_at_s > _STUCK_S:
-        return turn.give_up(Reason.NOT_FOLLOWING)
-    departs = following.departs(state, stage, path, event, turn)
-    if departs is not None:
-        return _depart(state, departs, turn)
-    following.send_setpoint(state, path, event, turn)
-    stops = path.next_leg is None or path.stop is not None
-    if stops and following.is_stopped(state, path):
-        ends = _end_of_way if returns else _at_its_end
-        return ends(state, stage, path, turn)
-    speed = 0.0 if hovers else math.hypot(*velocity[:2])
-    if path.stop is not None or returns or not isinstance(stage, phases.Flying):
-        return
-    if stage.search is None and path.leg.wants_successor(path.reference, speed):
-        at_m = path.reference.length_m
-        start_scan(stage, path.leg.subpath.pose(at_m).point_nea_m, turn)
 
 
 def _circle(state: State, stage: phases.Led, event: Position, turn: Turn) -> None:

@@ -169,29 +169,34 @@ def is_stopped(state: State, path: OnPath) -> bool:
     For a copter that is rejoining the path only once it is on it: the setpoint would jump.
     """
     leg, stop = path.leg, path.stop
+    left_m = (leg.subpath.length_m if stop is None else stop.at_m) - path.reference.length_m
     if state.vehicle.traits.hovers:
         joins = path.offset is not None and not path.offset.is_gone
-        until_m = math.inf if stop is None else stop.at_m
-        return not joins and procedure.is_at_end(path.reference, leg, until_m)
+        return not joins and left_m < procedure.ARRIVED_M
     if stop is not None:
         return True  # it circles where it was to stop
     if leg.reaches_target:  # it passes it, and circles it then
-        return procedure.is_at_end(path.reference, leg)
-    left_m = leg.subpath.length_m - path.reference.length_m
+        return left_m < procedure.ARRIVED_M
     return left_m < _AT_END * state.task.limits.loiter_radius_m
 
 
 def send_setpoint(state: State, path: OnPath, event: Position, turn: Turn) -> None:
-    """Send the setpoint for the reference point, if one is due."""
-    leg, reference, next_leg, traits = path.leg, path.reference, path.next_leg, state.vehicle.traits
+    """Send the setpoint for the reference point, if one is due.
+
+    A plane is sent so far ahead along the path.  Beyond p_prog that lies on the next leg, if there
+    is one; else it stays at the end of this one, and the plane circles there.
+    """
+    leg, next_leg, traits, limits = path.leg, path.next_leg, state.vehicle.traits, state.task.limits
     least_s = traits.setpoint_period_s - 0.5 * state.vehicle.position_step_s
     if state.now_s - state.flight.sent_at_s <= least_s:
         return
-    ahead_m = 0.0 if traits.hovers else lead_m(state)
-    pose = procedure.sent_pose(reference, leg, next_leg, ahead_m)
-    speed = min(reference.speed_m_s, procedure.allowed_speed_m_s(pose, state.task.limits))
-    beyond_m = reference.length_m + ahead_m - leg.subpath.length_m
+    at_m = path.reference.length_m + (0.0 if traits.hovers else lead_m(state))
+    pose, beyond_m = leg.subpath.pose(at_m), at_m - leg.subpath.length_m
+    if next_leg is not None and at_m > (over_at_m := leg.successor_at_m):
+        pose = next_leg.subpath.pose(at_m - over_at_m)
     stays = not traits.hovers and next_leg is None and beyond_m >= 0.0
+    climbs_m_s = limits.climb_rate_m_s / max(abs(float(pose.tangent_nea[2])), 1e-9)
+    speed = min(path.reference.speed_m_s, limits.speed_m_s, climbs_m_s)
     north_m, east_m, altitude_m = pose.position_nea_m.tolist()
     if (leading_s2 := traits.handling.leading_s2) > 0.0:
         turn_n, turn_e, _ = (leading_s2 * speed**2 * pose.curvature_nea_1_m).tolist()

@@ -44,9 +44,12 @@ def take_position(vehicle: Vehicle, event: Position, limits: Limits) -> None:
         elapsed_s, step_m = at_s - vehicle.position_at_s, math.dist(before, position)
         far = step_m > _JUMP_SLACK_M
         jumps = far and step_m > _flown_at_most_m(elapsed_s, limits) + _JUMP_SLACK_M
+        a, b = vehicle.velocity_nea_m_s, event.velocity_nea_m_s
+        mean = 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2])
+        step_ne_m = position[0] - before[0], position[1] - before[1]
         if not jumps and elapsed_s <= _STALE_S:
-            north_m, east_m, mean_m_s = _surprise(vehicle, before, event, elapsed_s)
-            usual_m = _SURPRISE_M + _SURPRISE_SHARE * mean_m_s * elapsed_s
+            north_m, east_m = step_ne_m[0] - elapsed_s * mean[0], step_ne_m[1] - elapsed_s * mean[1]
+            usual_m = _SURPRISE_M + _SURPRISE_SHARE * math.hypot(*mean) * elapsed_s
             jumps = math.hypot(north_m, east_m) > usual_m
         moves = math.hypot(*event.velocity_nea_m_s[:2]) > _STILL_M_S
         is_stuck = moves and before[:2] == position[:2]
@@ -54,7 +57,11 @@ def take_position(vehicle: Vehicle, event: Position, limits: Limits) -> None:
         if on_ground or (at_s - vehicle.bad_at_s > TRUST_S and not jumps):
             vehicle.believed_at_s, vehicle.astray_ne_m, vehicle.blind_s = at_s, (0.0, 0.0), 0.0
         else:
-            _reckon(vehicle, before, event, limits, is_stuck=is_stuck)
+            vouched = vehicle.fix_good and vehicle.estimator_good
+            if not vouched and vehicle.jumped_at_s <= vehicle.believed_at_s:
+                vehicle.blind_s += elapsed_s  # no source has confirmed it
+            if not is_stuck:  # else it tells nothing
+                _reckon(vehicle, step_ne_m, mean, at_s - vehicle.moved_at_s, limits)
         if jumps:
             vehicle.jumped_at_s = at_s
     if not is_stuck:
@@ -68,35 +75,19 @@ def _flown_at_most_m(elapsed_s: float, limits: Limits) -> float:
     return _JUMP_SPEEDS * math.hypot(limits.speed_m_s, limits.climb_rate_m_s) * elapsed_s
 
 
-def _surprise(
-    vehicle: Vehicle, before_nea_m: Vector, event: Position, elapsed_s: float
-) -> tuple[float, float, float]:
-    """How far a position is, north and east, from where the mean reported velocity leads.
-
-    And the speed of that mean.
-    """
-    a, b = vehicle.velocity_nea_m_s, event.velocity_nea_m_s
-    mean = 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2])
-    north_m = event.position_nea_m[0] - before_nea_m[0] - elapsed_s * mean[0]
-    east_m = event.position_nea_m[1] - before_nea_m[1] - elapsed_s * mean[1]
-    return north_m, east_m, math.hypot(*mean)
-
-
 def _reckon(
-    vehicle: Vehicle, before_nea_m: Vector, event: Position, limits: Limits, *, is_stuck: bool
+    vehicle: Vehicle,
+    step_ne_m: tuple[float, float],
+    velocity_nea_m_s: Vector,
+    elapsed_s: float,
+    limits: Limits,
 ) -> None:
     """How far the position has come from the predicted one since it was last valid.
 
-    And how long no source has confirmed it.  Distance that can have been flown in gaps does not
-    count.
+    Distance that can have been flown in gaps does not count.
     """
-    vouched = vehicle.fix_good and vehicle.estimator_good
-    if not vouched and vehicle.jumped_at_s <= vehicle.believed_at_s:
-        vehicle.blind_s += event.time_s - vehicle.position_at_s
-    if is_stuck:
-        return  # it tells nothing
-    elapsed_s, share = event.time_s - vehicle.moved_at_s, 1.0
-    north_m, east_m, _ = _surprise(vehicle, before_nea_m, event, elapsed_s)
+    north_m = step_ne_m[0] - elapsed_s * velocity_nea_m_s[0]
+    east_m, share = step_ne_m[1] - elapsed_s * velocity_nea_m_s[1], 1.0
     if elapsed_s > _STALE_S:
         size_m = math.hypot(north_m, east_m)
         share = max(size_m - _flown_at_most_m(elapsed_s, limits), 0.0) / max(size_m, 1e-9)

@@ -134,7 +134,12 @@ class Subpath:
     @lru_cache(maxsize=4)  # noqa: B019 - in flight the same ones are asked for again
     def pose(self, length_m: float) -> Pose:
         """Where the curve is after a length flown, metres from its start."""
-        u, spans = self.parameter_at(length_m), len(self._axes)
+        lengths_m = self._length_at_m  # by hand: np.interp takes four times as long for one
+        k = int(lengths_m.searchsorted(length_m, side="right")) - 1
+        u, spans = float(k >= 0), len(self._axes)
+        if 0 <= k < _TABLE:
+            before_m, after_m = lengths_m[k : k + 2].tolist()
+            u = (k + (length_m - before_m) / (after_m - before_m)) / _TABLE
         span = min(int(u * spans), spans - 1)
         t, axes = u * spans - span, self._axes[span]
         position, first, second = [], [], []
@@ -155,14 +160,9 @@ class Subpath:
             curvature_nea_1_m=(bend - (bend @ tangent) * tangent) / speed**2,
         )
 
-    def parameter_at(self, length_m: float) -> float:
-        """The parameter of the curve, 0 to 1, after a length flown, metres."""
-        lengths_m = self._length_at_m  # by hand: np.interp takes four times as long for one
-        k = int(lengths_m.searchsorted(length_m, side="right")) - 1
-        if not 0 <= k < _TABLE:
-            return 0.0 if k < 0 else 1.0
-        before_m, after_m = lengths_m[k : k + 2].tolist()
-        return (k + (length_m - before_m) / (after_m - before_m)) / _TABLE
+    def parameters_at(self, lengths_m: FloatArray) -> FloatArray:
+        """The parameters of the curve, 0 to 1, after lengths flown, metres.  (S,) -> (S,)."""
+        return np.interp(lengths_m, self._length_at_m, _PARAMETERS)
 
     def length_at_m(self, u: float) -> float:
         """Length flown at a parameter of the curve, 0 <= u <= 1, metres."""
@@ -170,7 +170,7 @@ class Subpath:
 
     def samples_at(self, lengths_m: FloatArray) -> Samples:
         """Points and derivatives after lengths flown.  (S,) -> (S, 3)."""
-        return samples_at(self._cubics, np.interp(lengths_m, self._length_at_m, _PARAMETERS))
+        return samples_at(self._cubics, self.parameters_at(lengths_m))
 
     def points_nea_m(self, lengths_m: FloatArray) -> FloatArray:
         """Points of the curve after lengths flown.  (S,) -> (S, 3)."""

@@ -104,8 +104,8 @@ def _reversed(segment: FlownSegment) -> list[FloatArray]:
         return []
     knots = [k / len(cubics) for k in range(1, len(cubics))]
     inner = [u for u in knots if first_m < subpath.length_at_m(u) < last_m]
-    ends = subpath.parameter_at(segment.from_m), subpath.parameter_at(segment.until_m)
-    cuts = np.array([ends[0], *inner, ends[1]])
+    first, last = subpath.parameters_at(np.array([segment.from_m, segment.until_m]))
+    cuts = np.array([first, *inner, last])
     curve = samples_at(cubics, cuts)
     third = np.diff(cuts)[:, None] / 3.0
     leaving, arriving = curve.first[:-1] * third, curve.first[1:] * third
@@ -124,7 +124,7 @@ def _is_proven(
     subpath: Subpath, task: Task, known: KnownMap, *, from_rest: bool, stops: bool
 ) -> bool:
     motion, control = task.envelope, subpath.control_nea_m[:, :2]
-    if task.limits.hovers:  # it climbs as steeply as it dives, only slower: `allowed_speed_m_s`
+    if task.limits.hovers:  # it climbs as steeply as it dives, only slower
         steepest = max(motion.climb_angle_rad, motion.dive_angle_rad)
         motion = motion._replace(climb_angle_rad=steepest, dive_angle_rad=steepest)
     centre = 0.5 * (control.min(axis=0) + control.max(axis=0))

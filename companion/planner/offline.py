@@ -230,7 +230,8 @@ class OnBoard:
         task, step_s, began_s = self._task, 1.0 / self._scene.rate_hz, self._now_s
         kept_m = task.settings.safety_distance_m + task.limits.tracking_error_m
         motion, slows_m_s = leg.motion, math.inf
-        while self.reference.length_m < until_m and not procedure.is_at_end(self.reference, leg):
+        end_m = leg.subpath.length_m - procedure.ARRIVED_M
+        while self.reference.length_m < min(until_m, end_m):
             if asks and leg.wants_successor(self.reference):
                 return self.reference.length_m, self._now_s - began_s, True
             position = leg.subpath.pose(self.reference.length_m).position_nea_m
@@ -252,7 +253,7 @@ class OnBoard:
             on_it_m = max(reference.length_m - until_m, 0.0)
             self.reference = replace(reference, length_m=on_it_m)  # on the next leg
             return until_m, took_s, True
-        if not procedure.is_at_end(reference, leg):
+        if reference.length_m < end_m:
             return reference.length_m, took_s, True
         self.reference = Reference()
         return leg.subpath.length_m, took_s, False

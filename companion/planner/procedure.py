@@ -31,7 +31,8 @@ from companion.world.zones import Zone, gaps_m
 
 _GAINS = 0.6  # of the lag: so far ahead it gains no speed, else the vehicle catches up too fast
 _ROUNDING_M = 1e-6  # of lengths, as of proofs
-_ARRIVED_M = 0.05  # what is left of the speed there is worth no mention
+ARRIVED_M = 0.05
+"""So near to its end a leg is flown: what is left of the speed there is worth no mention."""
 _CHORDS = 32  # of the part of the path on which the nearest point is looked for
 _WINDOW_S = 5.0  # how far ahead it is looked for, in seconds of flight
 _PACES = 100  # parts of a leg for each of which a speed is known
@@ -263,7 +264,10 @@ def advance(
     if lead > motion.lag_m:
         return Reference(length_m=at_m, speed_m_s=0.0)
     slower, left_m = motion.braking_m_s2 * elapsed_s, max(min(length_m, until_m) - at_m, 0.0)
-    allowed = min(paced_m_s(leg.subpath, motion, at_m), max(slows_to_m_s, speed - slower))
+    paces_m_s = _paces_m_s(leg.subpath, motion)  # so as not to fly a bend ahead too fast
+    k = int(min(max(at_m / length_m, 0.0), 1.0) * (len(paces_m_s) - 2))
+    pace_m_s = float(min(paces_m_s[k], paces_m_s[k + 1]))
+    allowed = min(pace_m_s, max(slows_to_m_s, speed - slower))
     if until_m < math.inf:
         allowed = min(allowed, slowed_m_s(left_m, motion.braking_m_s2, 0.0))
     if (until_m < math.inf or not goes_on) and at_m > leg.slows_at_m - _ROUNDING_M:
@@ -275,16 +279,9 @@ def advance(
     return Reference(length_m=at_m + step, speed_m_s=after)
 
 
-def paced_m_s(subpath: Subpath, motion: Envelope, at_m: float) -> float:
-    """How fast it may move at a length flown, so as not to fly a bend ahead too fast."""
-    paces = _paces_m_s(subpath, motion)
-    k = int(min(max(at_m / subpath.length_m, 0.0), 1.0) * (len(paces) - 2))
-    return min(float(paces[k]), float(paces[k + 1]))
-
-
 def entry_m_s(subpath: Subpath, motion: Envelope, *, stops: bool) -> float:
     """How fast a leg may be entered: by its first bends, and so that it can stop at its end."""
-    pace_m_s = paced_m_s(subpath, motion, 0.0)
+    pace_m_s = float(_paces_m_s(subpath, motion)[:2].min())
     can_stop = not stops or motion.loiter_m > 0.0
     return pace_m_s if can_stop else min(pace_m_s, ending_m_s(motion, subpath.length_m))
 
@@ -322,17 +319,6 @@ def _paces_m_s(subpath: Subpath, motion: Envelope) -> FloatArray:
     for k in range(len(paces) - 2, -1, -1):
         paces[k] = min(paces[k], math.sqrt(paces[k + 1] ** 2 + gains))
     return np.asarray(paces)
-
-
-def allowed_speed_m_s(pose: Pose, limits: Limits) -> float:
-    """V, or less where the path climbs faster than the vehicle can."""
-    steepness = abs(float(pose.tangent_nea[2]))
-    return min(limits.speed_m_s, limits.climb_rate_m_s / max(steepness, 1e-9))
-
-
-def is_at_end(reference: Reference, leg: Leg, until_m: float = math.inf) -> bool:
-    """Whether the reference point has come to the end of its leg, or to where it is to stop."""
-    return min(leg.subpath.length_m, until_m) - reference.length_m < _ARRIVED_M
 
 
 def off_path_m(
@@ -376,18 +362,6 @@ def follow(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray) -> Referen
     k = int(np.argmin(np.linalg.norm(offset - share[:, None] * steps, axis=-1)))
     at_m = float(lengths[k] + share[k] * (lengths[k + 1] - lengths[k]))
     return Reference(length_m=at_m, speed_m_s=limits.speed_m_s)
-
-
-def sent_pose(reference: Reference, leg: Leg, next_leg: Leg | None, lead_m: float) -> Pose:
-    """The point that a plane is sent to: so far ahead of where it is along the path.
-
-    Beyond p_prog it lies on the next leg, if there is one; else it stays at the end of this one,
-    and the plane circles there.
-    """
-    at_m = reference.length_m + lead_m
-    if next_leg is not None and at_m > (over_at_m := leg.successor_at_m):
-        return next_leg.subpath.pose(at_m - over_at_m)
-    return leg.subpath.pose(at_m)
 
 
 def off_disc_m(centre_nea_m: Vector, position_nea_m: Vector, radius_m: float) -> float:

@@ -27,7 +27,7 @@ def messages(datagram: bytes, *kinds: Any) -> Iterator[Message]:
     """The messages of these kinds in a datagram of whole frames."""
     wanted, at = {kind.id: kind for kind in kinds}, 0
     while at < len(datagram):
-        end, number = frame_extent(datagram, at)
+        end, number, _ = frame_extent(datagram, at)
         if number in wanted:
             yield decoded(datagram[at:end], wanted[number])
         at = end

@@ -119,6 +119,17 @@ def test_a_message_of_a_newer_dialect_is_passed_whole_or_read_as_far_as_we_know(
     assert message.time_boot_ms == 0x04030201
 
 
+def test_what_a_protocol_does_not_allow_is_no_frame_though_its_checksum_is_right() -> None:
+    """Fields beyond those of the kind in the first one, and flags that we do not understand."""
+    size = ATTITUDE.unpacker.size
+    longer = bytes([0xFE, size + 1, 0, 1, 1, 30]) + bytes(size + 1)
+    flagged = bytes([0xFD, size, 2, 0, 0, 1, 1, 30, 0, 0]) + bytes(size)
+    for content in (longer, flagged):
+        frame = sealed(content, ATTITUDE)
+        assert intact_end(frame, 0) == 0
+        assert Receiver().feed(frame + FLUSH) == []
+
+
 @given(frames)
 def test_a_packed_frame_is_intact_and_no_longer_when_cut_or_bent(frame: bytes) -> None:
     assert intact_end(b"xy" + frame + b"z", 2) == 2 + len(frame)

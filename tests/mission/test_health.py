@@ -194,6 +194,8 @@ GLITCH: tuple[Happening, ...] = (doubted, 10.0, jumps, 10.0, vouched)
         # unseen it may have flown as far as it can; on the ground it may jump
         ((unseen, flies_on, 1.0), True),
         ((frozen, 10.0, thawed, flies_on, 1.0), True),
+        # what repeats tells nothing
+        ((doubted, 1.0, frozen, 0.4, thawed, leaps(east_m=8.0), 1.0, vouched, 0.1), True),
         ((landed, 10.0, leaps(north_m=50.0), 1.0), True),
         ((circles, doubted, 120.0, vouched, 0.8), True),  # what is flown meanwhile
     ],

@@ -21,7 +21,7 @@ from companion.mavlink.autopilots import ARDUCOPTER
 from companion.mission import events
 from companion.mission.decisions import Turn
 from companion.mission.events import Plan, Setpoint, StartScan
-from companion.mission.following import departs, joined, outside_m, send_setpoint
+from companion.mission.following import departs, joined, lead_m, outside_m, send_setpoint
 from companion.mission.phases import Answered, OnPath, Phase, Reason
 from companion.mission.state import State
 from companion.mission.vehicle_traits import VehicleTraits
@@ -175,6 +175,29 @@ def test_a_plane_that_sinks_or_rises_leaves_its_tube(traits: VehicleTraits, sign
         here = (north + aside_m, east, up + sign * share * tube_m)
         event = position(craft.now_s, here, (9.0, 0.0, 0.0))
         assert outside_m(state, state.path, event)[0] == pytest.approx(out_m, abs=1e-6)
+
+
+@PLANES
+def test_the_point_that_a_plane_is_sent_to_runs_over_onto_the_next_leg_and_stays_at_an_end(
+    traits: VehicleTraits,
+) -> None:
+    craft = led(traits)
+    state, leg = deep(craft.state), craft.state.leg
+    path, ahead_m, over_m = state.path, lead_m(state), leg.successor_at_m
+    over = leg.subpath.pose(over_m)
+    control = over.position_nea_m + np.outer([0.0, 0.3, 0.6, 1.0], 900.0 * over.tangent_nea)
+    next_leg = replace(leg, subpath=Subpath(control_nea_m=control))
+    for at_m, then, place in (
+        (over_m + 0.4 * ahead_m, next_leg, next_leg.subpath.pose(0.4 * ahead_m)),
+        (over_m - 0.4 * ahead_m, next_leg, leg.subpath.pose(over_m - 0.4 * ahead_m)),
+        (leg.subpath.length_m + 0.4 * ahead_m, None, leg.subpath.pose(leg.subpath.length_m)),
+    ):
+        path.reference, path.next_leg = Reference(length_m=at_m - ahead_m), then
+        state.flight.sent_at_s, turn = -math.inf, Turn(state, craft.context)
+        send_setpoint(state, path, position(state.now_s, craft.here), turn)
+        (sent,) = turn.commands
+        assert sent.position_nea_m == pytest.approx(place.point_nea_m)
+        assert sent.stay is (then is None)
 
 
 def test_who_is_within_a_tracking_error_of_its_path_is_not_outside_of_anything() -> None:

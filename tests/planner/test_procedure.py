@@ -14,16 +14,15 @@ from planning import PLANE_TASK, leg_of, limits
 
 from companion.path.envelope import ending_m_s, slowing_m
 from companion.planner.procedure import (
+    ARRIVED_M,
     Leg,
     Offset,
     Reference,
     advance,
     entering_m_s,
     follow,
-    is_at_end,
     may_leave,
     off_path_m,
-    sent_pose,
 )
 from companion.planner.settings import PlannerSettings, Task
 
@@ -56,6 +55,10 @@ def step(
     return advance(
         reference, leg, tick_s, pose.position_nea_m - behind_m * pose.tangent_nea, **keywords
     )
+
+
+def is_at_end(reference: Reference, leg: Leg, until_m: float = math.inf) -> bool:
+    return min(leg.subpath.length_m, until_m) - reference.length_m < ARRIVED_M
 
 
 def flown(
@@ -313,21 +316,6 @@ def test_where_a_path_comes_near_to_itself_it_is_not_cut_short() -> None:
         assert reference.length_m <= at_m + PLANE.turn_radius_m + 5.0 * PLANE.speed_m_s
 
 
-def test_the_point_that_is_sent_runs_over_onto_the_next_leg_and_stays_at_an_end() -> None:
-    leg = plane_leg()
-    over_m, end_m = leg.successor_at_m, leg.subpath.length_m
-    over = leg.subpath.pose(over_m)
-    control = over.position_nea_m + np.outer([0.0, 0.3, 0.6, 1.0], 900.0 * over.tangent_nea)
-    next_leg = leg_of(control, number=2, rules=PLANE_TASK)
-    for from_m, then, lead_m, place in (
-        (over_m - 60.0, next_leg, 110.0, next_leg.subpath.pose(50.0)),
-        (over_m - 60.0, next_leg, 40.0, leg.subpath.pose(over_m - 20.0)),
-        (end_m - 20.0, None, 110.0, leg.subpath.pose(end_m)),
-    ):
-        sent = sent_pose(Reference(length_m=from_m), leg, then, lead_m)
-        assert sent.point_nea_m == pytest.approx(place.point_nea_m)
-
-
 @pytest.mark.parametrize("safety_m", [5.0, 20.0, 500.0])
 def test_a_plane_is_sent_past_its_target_no_farther_than_it_is_proven_clear_there(
     safety_m: float,
@@ -373,7 +361,8 @@ def widest_m(leg: Leg, at_m: float, sense: float, angle: float) -> float:
         reference = follow(reference, leg, here)
         if leg.subpath.length_m - reference.length_m < 1.2 * LOITER:
             break  # it circles the end
-        aim = sent_pose(reference, leg, None, PLANE_TASK.envelope.lead_m).position_nea_m - here
+        aim_m = reference.length_m + PLANE_TASK.envelope.lead_m
+        aim = leg.subpath.pose(aim_m).position_nea_m - here
         error = math.remainder(math.atan2(aim[1], aim[0]) - course, math.tau)
         most = step_m / (LOITER / 2.0)
         course += min(max(error, -most), most)

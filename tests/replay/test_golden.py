@@ -22,7 +22,7 @@ from companion.telemetry.inputs import FILE, InputsFile
 
 EACH = pytest.mark.parametrize("name", NAMES)
 OURS = str(Path(companion.__file__).parent)
-MOST_CALLS, MOST_FILES = 43, 12
+MOST_CALLS, MOST_FILES = 33, 12
 ENOUGH = 300  # positions on a leg
 
 

@@ -150,7 +150,7 @@ def _unknown_end(data: bytes, at: int) -> int:
     """End of what may be a frame of an unknown kind, if another seems to follow it; else 0."""
     if not _may_begin(data, at):
         return 0
-    end, number = frame_extent(data, at)
+    end, number, _ = frame_extent(data, at)
     is_one = number is not None and number not in KINDS and end <= len(data)
     return end if is_one and (end == len(data) or _may_begin(data, end + _STAMP)) else 0
 
