@@ -13,7 +13,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.mavlink.checks import Check, SensorInputs, check, remark, who_is_heard
+from companion.mavlink.checks import Check, check, remark
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.poses import Pose, Poses
 from companion.mission.events import NearSeen, ScanDone, Vector
@@ -370,11 +370,11 @@ class NearScanner:
         _, sees_m = self.sensing.limits_m
         return NearSeen(time_s=now_s, sight=sight, near=self._near, sees_m=sees_m)
 
-    def checks(self, session: SensorInputs) -> Iterator[Check]:
+    def checks(self, state: State, _scan: ScanDone | None, heard: str) -> Iterator[Check]:
         """Whether it sees, and as far as the mission says."""
-        sensor, sight = self._sensor, session.state.vehicle.sight
+        sensor, sight = self._sensor, state.vehicle.sight
         what = f"{sensor.kind.upper()} of component {sensor.component_id}: {sight.value}"
-        what += who_is_heard(session) if sight.is_blind else ""
+        what += f"; heard: {heard}" if sight.is_blind else ""
         yield check("sensor", not sight.is_blind, what, Reason.SENSOR_SILENT.remedy)
         (least_m, most_m), range_m = self.sensing.limits_m, sensor.range_m
         if math.isinf(most_m):

@@ -5,11 +5,12 @@ from collections import deque
 from collections.abc import Iterator
 from typing import Final, final
 
-from companion.mavlink.checks import PATIENCE_S, Check, SensorInputs, check
+from companion.mavlink.checks import PATIENCE_S, Check, check
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.poses import Poses
 from companion.mission.events import GroundSeen
 from companion.mission.mission import Mission
+from companion.mission.state import State
 from companion.world.known_map import KnownMap
 
 _DISTANCE: Final = wire.MAVLINK_MSG_ID_DISTANCE_SENSOR
@@ -67,9 +68,9 @@ class Rangefinder:
             return GroundSeen(time_s=now_s, above_m=0.0)
         return None
 
-    def checks(self, session: SensorInputs) -> Iterator[Check]:
+    def checks(self, state: State, *_: object) -> Iterator[Check]:
         """Whether it is heard."""
-        heard = session.state.now_s - self.heard_s <= PATIENCE_S
+        heard = state.now_s - self.heard_s <= PATIENCE_S
         what = f"the one that faces down, of component 1: {'' if heard else 'not '}heard"
         remedy = "Set RNGFND1_TYPE and RNGFND1_ORIENT 25, or leave rangefinder_error_m out."
         yield check("rangefinder", heard, what, remedy)

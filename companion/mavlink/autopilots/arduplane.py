@@ -120,11 +120,11 @@ ARDUPLANE = Autopilot(
     rules=_RULES,
     parameters_for=lambda limits: {"AIRSPEED_CRUISE": limits.speed_m_s},
     modes=Modes(
-        asked={
-            Mode.GUIDED: (wire.PLANE_MODE_GUIDED,),
-            Mode.HOLD: (wire.PLANE_MODE_LOITER,),
-            Mode.RETURN: (wire.PLANE_MODE_RTL,),
-            Mode.TAKE_OFF: (wire.PLANE_MODE_TAKEOFF,),
+        meanings={
+            (wire.PLANE_MODE_GUIDED,): Mode.GUIDED,
+            (wire.PLANE_MODE_LOITER,): Mode.HOLD,
+            (wire.PLANE_MODE_RTL,): Mode.RETURN,
+            (wire.PLANE_MODE_TAKEOFF,): Mode.TAKE_OFF,
         },
         names=ardupilot.names_of("PLANE_MODE"),
     ),
