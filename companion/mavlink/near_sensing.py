@@ -287,25 +287,16 @@ def _sweep(look: _Look, pose: Pose, sensor: NearSensor, height_m: float) -> Swee
     count = len(look.clear_m)
     turn_rad = pose.yaw_rad + sensor.yaw_rad if look.from_nose else -pose.grid_north_rad
     along = look.first_rad + (np.arange(count) + 0.5) * look.width_rad + turn_rad - pose.yaw_rad
-    sin_r, cos_r = math.sin(pose.roll_rad), math.cos(pose.roll_rad)
-    sin_p, cos_p = math.sin(pose.pitch_rad), math.cos(pose.pitch_rad)
-    forward, right = np.cos(along), np.sin(along)
-    ahead, aside = forward * cos_p + right * sin_r * sin_p, right * cos_r
-    down = right * sin_r * cos_p - forward * sin_p
+    ahead, aside, down = pose.level(np.cos(along), np.sin(along), 0.0)
     level = np.hypot(ahead, aside)
     bent = np.abs(np.mod(np.arctan2(aside, ahead) - along + math.pi, math.tau) - math.pi)
     below_m = min(sensor.speaks_for_m, _ABOVE_GROUND * height_m)
     depth_m = np.where(down > 0.0, below_m, sensor.speaks_for_m)
     stays_m = depth_m / np.maximum(np.abs(down), 1e-9) * level
     echo_m = look.echo_m * level
-    north, east, _ = pose.position_nea_m
-    cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
     return Sweep(
         time_s=look.time_s,
-        sensor_ne_m=(
-            north + cos * sensor.forward_m - sin * sensor.right_m,
-            east + sin * sensor.forward_m + cos * sensor.right_m,
-        ),
+        sensor_ne_m=pose.beside_ne_m(sensor.forward_m, sensor.right_m),
         first_rad=look.first_rad + turn_rad,
         width_rad=look.width_rad,
         clear_m=np.minimum(look.clear_m * level, stays_m),

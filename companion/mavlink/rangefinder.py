@@ -80,14 +80,9 @@ class Rangefinder:
         pose = self._poses.at(at_s)
         if pose is None:
             return None
-        north_m, east_m, altitude_m = pose.position_nea_m
-        sin_r, cos_r = math.sin(pose.roll_rad), math.cos(pose.roll_rad)
-        ahead_m = distance_m * cos_r * math.sin(pose.pitch_rad)  # the body's down axis leans ahead
-        left_m = distance_m * sin_r
-        cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
-        foot = north_m + cos * ahead_m + sin * left_m, east_m + sin * ahead_m - cos * left_m
-        row, column = known.cell_of(*foot)
+        ahead_m, right_m, down_m = pose.level(0.0, 0.0, distance_m)
+        row, column = known.cell_of(*pose.beside_ne_m(ahead_m, right_m))
         about = known.upper_m[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
         if not about.size or not math.isfinite(highest_m := float(about.max())):
             return None
-        return altitude_m - distance_m * cos_r * math.cos(pose.pitch_rad) - highest_m
+        return pose.position_nea_m[2] - down_m - highest_m

@@ -130,11 +130,8 @@ class Autopilot:
     """Speed command for an autopilot that controls its own speed: (speed_m_s, system_id)."""
     hold_about: Callable[[events.Vector, To], list[Message]] = _no_messages
     """Hold at a point, if the autopilot supports it: (at_nea_m, to whom)."""
-    refuses_setpoint: Callable[[Message], bool] = lambda _: False
-    """Whether a message says that a setpoint was not taken.
-
-    Never by default: setpoints are not acknowledged; the position target echo shows it.
-    """
+    acknowledges_setpoints: bool = False
+    """Else the position target echo alone shows whether one was taken."""
 
     @property
     def name(self) -> str:
