@@ -75,7 +75,7 @@ def _lines(row: str, vehicle: str, speed_m_s: float, rng: np.random.Generator) -
     autopilot, kind = vehicle.split("-")
     strategy, size = named(autopilot, kind), 1.0 if kind == "copter" else _PLANES_SIZE
     returns, guided = (
-        f"176 1 {' '.join(map(str, strategy.modes.asked[mode]))} to_autopilot"
+        f"176 1 {' '.join(map(str, strategy.modes.asked(mode)))} to_autopilot"
         for mode in (Mode.RETURN, Mode.GUIDED)
     )
     if strategy.traits.needs_setpoints_before_offboard:

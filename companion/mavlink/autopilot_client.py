@@ -261,10 +261,11 @@ class AutopilotClient:
         number = message.get_msgId()
         if number == wire.MAVLINK_MSG_ID_STATUSTEXT:
             return {"kind": "vehicle says", "text": message.text}
-        if number != wire.MAVLINK_MSG_ID_COMMAND_ACK or (
-            message.command == wire.MAV_CMD_DO_REPOSITION
-            and not self.autopilot.refuses_setpoint(message)
-        ):
+        if number != wire.MAVLINK_MSG_ID_COMMAND_ACK:
+            return None
+        refused = message.result != wire.MAV_RESULT_ACCEPTED
+        tells = refused and self.autopilot.acknowledges_setpoints  # one that is taken is no news
+        if message.command == wire.MAV_CMD_DO_REPOSITION and not tells:
             return None
         return {"kind": "acknowledged", "command": message.command, "result": message.result}
 

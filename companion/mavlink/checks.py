@@ -1,11 +1,7 @@
 """One check of a vehicle before its flight; `preflight` has the list, each sensor its own."""
 
 import enum
-from typing import NamedTuple, Protocol
-
-from companion.mavlink.link import ids_in_words
-from companion.mission.events import ScanDone
-from companion.mission.state import State
+from typing import NamedTuple
 
 PATIENCE_S = 5.0  # for rates and delays that have not come yet
 
@@ -28,18 +24,6 @@ class Check(NamedTuple):
     remedy: str = ""
 
 
-class SensorInputs(Protocol):
-    """The part of a session that the checks of sensors read."""
-
-    state: State
-    last_scan: ScanDone | None
-
-    @property
-    def senders(self) -> list[tuple[int, int]]:
-        """All that were heard."""
-        ...
-
-
 def check(name: str, passed: bool, what: str, remedy: str = "") -> Check:
     """One that the vehicle passes, or that refuses the flight."""
     status = CheckStatus.PASSED if passed else CheckStatus.REFUSED
@@ -49,8 +33,3 @@ def check(name: str, passed: bool, what: str, remedy: str = "") -> Check:
 def remark(name: str, what: str, remedy: str = "") -> Check:
     """One that refuses nothing."""
     return Check(name, CheckStatus.NOTED, what, remedy)
-
-
-def who_is_heard(session: SensorInputs) -> str:
-    """Who is heard at all, where a sensor may only have other ids than the mission says."""
-    return f"; heard: {ids_in_words(session.senders)}"

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.mavlink.checks import Check, SensorInputs, check, remark, who_is_heard
+from companion.mavlink.checks import Check, check, remark
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.poses import Pose, Poses
 from companion.mission.events import NearSeen, ScanDone, Vector
@@ -287,25 +287,16 @@ def _sweep(look: _Look, pose: Pose, sensor: NearSensor, height_m: float) -> Swee
     count = len(look.clear_m)
     turn_rad = pose.yaw_rad + sensor.yaw_rad if look.from_nose else -pose.grid_north_rad
     along = look.first_rad + (np.arange(count) + 0.5) * look.width_rad + turn_rad - pose.yaw_rad
-    sin_r, cos_r = math.sin(pose.roll_rad), math.cos(pose.roll_rad)
-    sin_p, cos_p = math.sin(pose.pitch_rad), math.cos(pose.pitch_rad)
-    forward, right = np.cos(along), np.sin(along)
-    ahead, aside = forward * cos_p + right * sin_r * sin_p, right * cos_r
-    down = right * sin_r * cos_p - forward * sin_p
+    ahead, aside, down = pose.level(np.cos(along), np.sin(along), 0.0)
     level = np.hypot(ahead, aside)
     bent = np.abs(np.mod(np.arctan2(aside, ahead) - along + math.pi, math.tau) - math.pi)
     below_m = min(sensor.speaks_for_m, _ABOVE_GROUND * height_m)
     depth_m = np.where(down > 0.0, below_m, sensor.speaks_for_m)
     stays_m = depth_m / np.maximum(np.abs(down), 1e-9) * level
     echo_m = look.echo_m * level
-    north, east, _ = pose.position_nea_m
-    cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
     return Sweep(
         time_s=look.time_s,
-        sensor_ne_m=(
-            north + cos * sensor.forward_m - sin * sensor.right_m,
-            east + sin * sensor.forward_m + cos * sensor.right_m,
-        ),
+        sensor_ne_m=pose.beside_ne_m(sensor.forward_m, sensor.right_m),
         first_rad=look.first_rad + turn_rad,
         width_rad=look.width_rad,
         clear_m=np.minimum(look.clear_m * level, stays_m),
@@ -370,11 +361,11 @@ class NearScanner:
         _, sees_m = self.sensing.limits_m
         return NearSeen(time_s=now_s, sight=sight, near=self._near, sees_m=sees_m)
 
-    def checks(self, session: SensorInputs) -> Iterator[Check]:
+    def checks(self, state: State, _scan: ScanDone | None, heard: str) -> Iterator[Check]:
         """Whether it sees, and as far as the mission says."""
-        sensor, sight = self._sensor, session.state.vehicle.sight
+        sensor, sight = self._sensor, state.vehicle.sight
         what = f"{sensor.kind.upper()} of component {sensor.component_id}: {sight.value}"
-        what += who_is_heard(session) if sight.is_blind else ""
+        what += f"; heard: {heard}" if sight.is_blind else ""
         yield check("sensor", not sight.is_blind, what, Reason.SENSOR_SILENT.remedy)
         (least_m, most_m), range_m = self.sensing.limits_m, sensor.range_m
         if math.isinf(most_m):

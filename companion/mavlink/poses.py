@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, final
 
-from companion.geodesy import LocalFrame, wrap_rad
+from companion.geodesy import LocalFrame, Places, wrap_rad
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mission.events import Vector
 
@@ -33,6 +33,23 @@ class Pose:
     """Over ground."""
     yaw_rate_rad_s: float
     """Without a sign."""
+
+    def level(self, ahead: Places, right: Places, down: float) -> tuple[Places, Places, Places]:
+        """A direction of the tilted body, or (...) of them: ahead, right and down of its yaw."""
+        sin_r, cos_r = math.sin(self.roll_rad), math.cos(self.roll_rad)
+        sin_p, cos_p = math.sin(self.pitch_rad), math.cos(self.pitch_rad)
+        below = right * sin_r + down * cos_r
+        return (
+            ahead * cos_p + below * sin_p,
+            right * cos_r - down * sin_r,
+            below * cos_p - ahead * sin_p,
+        )
+
+    def beside_ne_m(self, ahead_m: float, right_m: float) -> tuple[float, float]:
+        """North and east of what is so far ahead and to the right, on a level."""
+        north_m, east_m, _ = self.position_nea_m
+        cos, sin = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        return north_m + cos * ahead_m - sin * right_m, east_m + sin * ahead_m + cos * right_m
 
 
 @final

@@ -10,14 +10,7 @@ from typing import Protocol, final
 
 from companion.mavlink import fence
 from companion.mavlink.autopilot_client import AutopilotClient
-from companion.mavlink.checks import (
-    PATIENCE_S,
-    Check,
-    CheckStatus,
-    SensorInputs,
-    check,
-    remark,
-)
+from companion.mavlink.checks import PATIENCE_S, Check, CheckStatus, check, remark
 from companion.mavlink.dialect import COMPANION_COMPONENT
 from companion.mavlink.frames import Receiver
 from companion.mavlink.link import TO_COMPONENT_1, VehicleSelector, ids_in_words
@@ -27,10 +20,10 @@ from companion.mavlink.signing import Signing
 from companion.mission import ground, stopped
 from companion.mission.battery import battery_lasts
 from companion.mission.decisions import Context
-from companion.mission.events import Item, Landed, Prepared, Vector
+from companion.mission.events import Item, Landed, Prepared, ScanDone, Vector
 from companion.mission.health import distrust
 from companion.mission.mission import Mission
-from companion.mission.state import Phase, Reason
+from companion.mission.state import Phase, Reason, State
 
 _MAX_LOOKS = 3
 _CHECK_S = 1.0  # between two looks at a vehicle that waits
@@ -38,9 +31,11 @@ _LOOK_AGAIN_S = 60.0
 """Between two scans of a vehicle that waits: a radar that is off is told before the flight."""
 
 
-class PreflightInputs(SensorInputs, Protocol):
+class PreflightInputs(Protocol):
     """The part of a session that the checks read."""
 
+    state: State
+    last_scan: ScanDone | None
     mission: Mission
     context: Context
     vehicle: AutopilotClient | None
@@ -49,6 +44,11 @@ class PreflightInputs(SensorInputs, Protocol):
     receiver: Receiver
     signing: Signing | None
     sensors: tuple[Sensor, ...]
+
+    @property
+    def senders(self) -> list[tuple[int, int]]:
+        """All that were heard."""
+        ...
 
 
 @final
@@ -146,13 +146,14 @@ def checks_of(session: PreflightInputs) -> list[Check]:
     vehicle = session.vehicle
     if vehicle is None:
         return [check("vehicle", False, *not_heard(session))]
+    state, scan, heard = session.state, session.last_scan, ids_in_words(session.senders)
     return [
         *_link(session, vehicle),
         *_parameters(vehicle),
         *_fence(session, vehicle),
         *_position(session),
         _battery(session),
-        *(each for sensor in session.sensors for each in sensor.checks(session)),
+        *(each for sensor in session.sensors for each in sensor.checks(state, scan, heard)),
         *_signing(session),
     ]
 

@@ -5,11 +5,12 @@ from collections import deque
 from collections.abc import Iterator
 from typing import Final, final
 
-from companion.mavlink.checks import PATIENCE_S, Check, SensorInputs, check
+from companion.mavlink.checks import PATIENCE_S, Check, check
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.poses import Poses
 from companion.mission.events import GroundSeen
 from companion.mission.mission import Mission
+from companion.mission.state import State
 from companion.world.known_map import KnownMap
 
 _DISTANCE: Final = wire.MAVLINK_MSG_ID_DISTANCE_SENSOR
@@ -67,9 +68,9 @@ class Rangefinder:
             return GroundSeen(time_s=now_s, above_m=0.0)
         return None
 
-    def checks(self, session: SensorInputs) -> Iterator[Check]:
+    def checks(self, state: State, *_: object) -> Iterator[Check]:
         """Whether it is heard."""
-        heard = session.state.now_s - self.heard_s <= PATIENCE_S
+        heard = state.now_s - self.heard_s <= PATIENCE_S
         what = f"the one that faces down, of component 1: {'' if heard else 'not '}heard"
         remedy = "Set RNGFND1_TYPE and RNGFND1_ORIENT 25, or leave rangefinder_error_m out."
         yield check("rangefinder", heard, what, remedy)
@@ -79,14 +80,9 @@ class Rangefinder:
         pose = self._poses.at(at_s)
         if pose is None:
             return None
-        north_m, east_m, altitude_m = pose.position_nea_m
-        sin_r, cos_r = math.sin(pose.roll_rad), math.cos(pose.roll_rad)
-        ahead_m = distance_m * cos_r * math.sin(pose.pitch_rad)  # the body's down axis leans ahead
-        left_m = distance_m * sin_r
-        cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
-        foot = north_m + cos * ahead_m + sin * left_m, east_m + sin * ahead_m - cos * left_m
-        row, column = known.cell_of(*foot)
+        ahead_m, right_m, down_m = pose.level(0.0, 0.0, distance_m)
+        row, column = known.cell_of(*pose.beside_ne_m(ahead_m, right_m))
         about = known.upper_m[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
         if not about.size or not math.isfinite(highest_m := float(about.max())):
             return None
-        return altitude_m - distance_m * cos_r * math.cos(pose.pitch_rad) - highest_m
+        return pose.position_nea_m[2] - down_m - highest_m

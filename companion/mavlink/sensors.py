@@ -7,7 +7,7 @@ file ask for no more.  Sans-IO; times are those of the vehicle.
 from collections.abc import Callable, Iterator, Mapping
 from typing import Final, Protocol
 
-from companion.mavlink.checks import Check, SensorInputs
+from companion.mavlink.checks import Check
 from companion.mavlink.dialect import Message
 from companion.mavlink.near_sensing import NearScanner
 from companion.mavlink.poses import Poses, Reads
@@ -33,8 +33,11 @@ class Sensor(Protocol):
     def seen(self, now_s: float, known: KnownMap, /) -> Event | None:
         """What is new: after each of its messages; if it needs poses, before a position is told."""
 
-    def checks(self, session: SensorInputs) -> Iterator[Check]:
-        """Whether it works and fits the mission, before a flight."""
+    def checks(self, state: State, scan: ScanDone | None, heard: str, /) -> Iterator[Check]:
+        """Whether it works and fits the mission, before a flight.
+
+        scan: the newest; heard: all that are heard, in words: it may only have another id.
+        """
 
 
 class Scanner(Sensor, Protocol):

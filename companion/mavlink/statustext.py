@@ -6,6 +6,7 @@ first; of one kind only the newest is sent.
 """
 
 import math
+import textwrap
 import unicodedata
 from itertools import chain
 from typing import NamedTuple, final
@@ -122,8 +123,5 @@ def shortened(text: str, longest: int) -> str:
     """The text, or as many of its words as fit, and two dots."""
     if len(text) <= longest:
         return text
-    room = longest - 2
-    cut = text[:room]
-    if not text[room].isspace() and " " in cut[room // 2 :]:
-        cut = cut[: cut.rindex(" ")]
-    return cut.rstrip(" ,;:.-") + ".."
+    first, *_ = textwrap.wrap(text, longest - 2, break_on_hyphens=False)
+    return first.rstrip(" ,;:.-") + ".."

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from companion.geodesy import FloatArray, LocalFrame, deg, deg_e7, offset_deg
-from companion.mavlink.checks import Check, SensorInputs, check, remark, who_is_heard
+from companion.mavlink.checks import Check, check, remark
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.poses import Reads
 from companion.mission.events import ScanDone, Vector
@@ -227,16 +227,16 @@ class TerrainRadar:
     def seen(self, _now_s: float, _known: KnownMap) -> None:
         """It says nothing by itself."""
 
-    def checks(self, session: SensorInputs) -> Iterator[Check]:
+    def checks(self, state: State, scan: ScanDone | None, heard: str) -> Iterator[Check]:
         """Whether it has answered."""
-        state, scan, who = session.state, session.last_scan, self._mission.scanner_component_id
+        who = self._mission.scanner_component_id
         if who is None:
             yield remark("radar", "none: only terrain that is known in advance is flown over")
         elif not state.targets_ne_m or state.vehicle.position_nea_m is None:
             yield remark("radar", "not asked: where from and where to is not known")
         elif scan is None or not scan.answered:
             what = f"the terrain radar, component {who}, did not answer TERRAIN_REQUEST"
-            yield check("radar", False, what + who_is_heard(session), _NO_RADAR)
+            yield check("radar", False, f"{what}; heard: {heard}", _NO_RADAR)
         else:
             # what is left out stays unknown, and is asked for again in flight
             yield check("radar", True, f"{scan.answered} of {scan.asked} blocks answered in time")

@@ -1,5 +1,6 @@
 """One autopilot's client against the simulator: fences, breaches, parameters, speed, take-off."""
 
+import itertools
 from dataclasses import replace
 from typing import Any
 
@@ -9,7 +10,7 @@ from wires import assert_told, heard, over_the_wire
 
 from companion.config import load_mission
 from companion.mavlink.autopilot_client import AutopilotClient
-from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_MULTICOPTER, px4
+from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_MULTICOPTER, Autopilot, px4
 from companion.mavlink.dialect import EventMessage, codec, wire
 from companion.mavlink.frames import Receiver
 from companion.mavlink.parameter_client import ANSWER_S
@@ -298,6 +299,17 @@ def test_it_is_armed_and_disarmed_without_force_and_a_take_off_is_taken_once_acc
         told = [side.event_of(ack(number, result), 3.0) for result in range(6)]
         taken = events.TakeOffTaken(time_s=3.0) if number == wire.MAV_CMD_NAV_TAKEOFF else None
         assert told == [taken, *[None] * 5]  # MAV_RESULT_ACCEPTED is 0
+
+
+@pytest.mark.parametrize("autopilot", ALL, ids=lambda each: each.name)
+def test_of_answers_to_setpoints_only_the_refusals_of_an_arduplane_are_noted(
+    autopilot: Autopilot,
+) -> None:
+    client = AutopilotClient(context(), 7, autopilot)
+    for command, result in itertools.product((REPOSITION, wire.MAV_CMD_DO_SET_MODE), range(10)):
+        refuses = autopilot.traits.name == "ArduPlane" and result != wire.MAV_RESULT_ACCEPTED
+        noted = client.journal_entry(ack(command, result))
+        assert (noted is not None) is (refuses or command != REPOSITION)
 
 
 def test_how_the_vehicles_own_mission_ends_is_not_passed_over_in_silence() -> None:

@@ -45,7 +45,7 @@ class Further:
     def seen(self, now_s: float, _known: object) -> GroundSeen | None:
         return GroundSeen(time_s=now_s, above_m=5.0) if len(self.heard) == 2 else None
 
-    def checks(self, _session: object) -> Iterator[Check]:
+    def checks(self, *_: object) -> Iterator[Check]:
         yield check("further", False, "made up", "Take it off.")
 
 

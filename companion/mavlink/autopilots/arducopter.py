@@ -107,13 +107,11 @@ ARDUCOPTER = Autopilot(
         "PSC_JERK_XY": 4.0 * limits.acceleration_m_s2,
     },
     modes=Modes(
-        asked={
-            Mode.GUIDED: (wire.COPTER_MODE_GUIDED,),
-            Mode.HOLD: (wire.COPTER_MODE_BRAKE,),
-            Mode.LAND: (wire.COPTER_MODE_LAND,),
-            Mode.RETURN: (wire.COPTER_MODE_RTL,),
-        },
-        also={
+        meanings={
+            (wire.COPTER_MODE_GUIDED,): Mode.GUIDED,
+            (wire.COPTER_MODE_BRAKE,): Mode.HOLD,
+            (wire.COPTER_MODE_LAND,): Mode.LAND,
+            (wire.COPTER_MODE_RTL,): Mode.RETURN,
             (wire.COPTER_MODE_SMART_RTL,): Mode.RETURN,
             (wire.COPTER_MODE_AUTO_RTL,): Mode.RETURN,
         },

@@ -71,13 +71,6 @@ def _echo(message: Message, now_s: float, frame: LocalFrame, *_: object) -> Echo
     return messages.echo_at(place, message.alt, now_s, frame)
 
 
-def _refuses_setpoint(message: Message) -> bool:
-    """An ACK of DO_REPOSITION other than ACCEPTED: not in GUIDED, or outside of its fence."""
-    is_ack = message.get_type() == "COMMAND_ACK"
-    is_setpoint_ack = is_ack and message.command == wire.MAV_CMD_DO_REPOSITION
-    return bool(is_setpoint_ack and message.result != wire.MAV_RESULT_ACCEPTED)
-
-
 def _take_off_height(value: float, case: Case) -> Finding | None:
     """The autopilot's own take-off ends there; the companion climbs on."""
     limits, home_amsl_m = case.limits, case.home_amsl_m
@@ -120,11 +113,11 @@ ARDUPLANE = Autopilot(
     rules=_RULES,
     parameters_for=lambda limits: {"AIRSPEED_CRUISE": limits.speed_m_s},
     modes=Modes(
-        asked={
-            Mode.GUIDED: (wire.PLANE_MODE_GUIDED,),
-            Mode.HOLD: (wire.PLANE_MODE_LOITER,),
-            Mode.RETURN: (wire.PLANE_MODE_RTL,),
-            Mode.TAKE_OFF: (wire.PLANE_MODE_TAKEOFF,),
+        meanings={
+            (wire.PLANE_MODE_GUIDED,): Mode.GUIDED,
+            (wire.PLANE_MODE_LOITER,): Mode.HOLD,
+            (wire.PLANE_MODE_RTL,): Mode.RETURN,
+            (wire.PLANE_MODE_TAKEOFF,): Mode.TAKE_OFF,
         },
         names=ardupilot.names_of("PLANE_MODE"),
     ),
@@ -138,5 +131,5 @@ ARDUPLANE = Autopilot(
     set_speed=_set_speed,
     setpoint=_setpoint,
     hold_about=_hold_about,
-    refuses_setpoint=_refuses_setpoint,
+    acknowledges_setpoints=True,  # refused when not in GUIDED, or outside of its fence
 )

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import final
 
 from companion.geodesy import LocalFrame
@@ -33,20 +33,21 @@ _FAILSAFE = (wire.MAV_STATE_CRITICAL, wire.MAV_STATE_EMERGENCY)
 class Modes:
     """Modes of a firmware, or of a vehicle type where they differ within it."""
 
-    asked: Mapping[events.Mode, tuple[int, ...]]
-    """Parameters of DO_SET_MODE: mode, or main and sub mode; the others are not supported."""
+    meanings: Mapping[tuple[int, ...], events.Mode]
+    """Of what it reports: mode, or main and sub mode.  The first that means a mode is what is asked
+    for by DO_SET_MODE; a mode that none means is not supported."""
     names: Mapping[tuple[int, ...], str]
     """The autopilot's own."""
-    also: Mapping[tuple[int, ...], events.Mode] = field(default_factory=dict)
-    """What else the autopilot reports for one of these modes."""
     numbers: Callable[[int], tuple[int, ...]] = lambda custom_mode: (custom_mode,)
     """Of what a heartbeat reports as custom_mode."""
 
     def mode_of(self, custom_mode: int) -> events.Mode:
         """The mode that a heartbeat reports."""
-        numbers = self.numbers(custom_mode)
-        asked = (mode for mode, its_numbers in self.asked.items() if its_numbers == numbers)
-        return self.also.get(numbers) or next(asked, events.Mode.OTHER)
+        return self.meanings.get(self.numbers(custom_mode), events.Mode.OTHER)
+
+    def asked(self, mode: events.Mode) -> tuple[int, ...]:
+        """The parameters of DO_SET_MODE; empty if it is not supported."""
+        return next((numbers for numbers, means in self.meanings.items() if means is mode), ())
 
     def name_of(self, custom_mode: int) -> str:
         """The autopilot's own name of it."""
@@ -129,11 +130,8 @@ class Autopilot:
     """Speed command for an autopilot that controls its own speed: (speed_m_s, system_id)."""
     hold_about: Callable[[events.Vector, To], list[Message]] = _no_messages
     """Hold at a point, if the autopilot supports it: (at_nea_m, to whom)."""
-    refuses_setpoint: Callable[[Message], bool] = lambda _: False
-    """Whether a message says that a setpoint was not taken.
-
-    Never by default: setpoints are not acknowledged; the position target echo shows it.
-    """
+    acknowledges_setpoints: bool = False
+    """Else the position target echo alone shows whether one was taken."""
 
     @property
     def name(self) -> str:
@@ -146,8 +144,8 @@ class Autopilot:
             about = self.hold_about(command.at_nea_m, to)
             if about:
                 return about
-        numbers = self.modes.asked.get(command.mode)
-        return [] if numbers is None else [set_mode(to.system_id, *numbers)]
+        numbers = self.modes.asked(command.mode)
+        return [set_mode(to.system_id, *numbers)] if numbers else []
 
     def event_of(
         self,

@@ -23,15 +23,6 @@ from companion.mavlink.rules import Case, Finding, Rule, only_read
 from companion.mission.events import Echo, Estimator, Mode, Vector
 
 _AUTO = 4
-_MODES: Mapping[Mode, tuple[int, int]] = {
-    Mode.GUIDED: (6, 0),
-    Mode.TAKE_OFF: (_AUTO, 2),
-    Mode.HOLD: (_AUTO, 3),
-    Mode.RETURN: (_AUTO, 5),
-    Mode.LAND: (_AUTO, 6),
-}
-"""Main and sub mode; custom_mode is main << 16 | sub << 24."""
-_PRECISION_LAND = (_AUTO, 9)
 _MAIN_NAMES: Final = (
     *("", "Manual", "Altitude", "Position", "", "Acro", "Offboard", "Stabilized", "Rattitude"),
 )
@@ -69,13 +60,20 @@ REQUESTED_ONCE = (wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, wire.MAVLINK_MSG_ID_HOM
 
 
 def _numbers(custom_mode: int) -> tuple[int, int]:
+    """Main and sub mode; custom_mode is main << 16 | sub << 24."""
     main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
     return main, sub if main == _AUTO else 0
 
 
 MODES: Final = Modes(  # the failsafe DESCEND is told as LAND
-    asked=_MODES,
-    also={_PRECISION_LAND: Mode.LAND},
+    meanings={
+        (6, 0): Mode.GUIDED,
+        (_AUTO, 2): Mode.TAKE_OFF,
+        (_AUTO, 3): Mode.HOLD,
+        (_AUTO, 5): Mode.RETURN,
+        (_AUTO, 6): Mode.LAND,
+        (_AUTO, 9): Mode.LAND,  # precisely
+    },
     numbers=_numbers,
     names={
         **{(main, 0): name for main, name in enumerate(_MAIN_NAMES)},
