@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
+from harness import GCS
 from held import FOUR, MISSIONS, Held, placed, polygon, stored, waypoints
 from wires import assert_told, heard, over_the_wire
 
@@ -13,13 +14,14 @@ from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_MULTICOPTER, px4
 from companion.mavlink.dialect import EventMessage, codec, wire
 from companion.mavlink.frames import Receiver
 from companion.mavlink.parameter_client import ANSWER_S
-from companion.mavlink.plan_client import FENCE, MISSION, RALLY
 from companion.mission import checkpoint, events
 from companion.mission.decisions import Context
 from companion.mission.events import FenceChanged, FenceReading, Item
 from companion.mission.state import State
+from vehicle_sim.plans import PlanKind
 
 COPTER, PX4 = FOUR[0], FOUR[2]
+MISSION, FENCE, RALLY = PlanKind
 
 
 def context(name: str = "sitl-px4", *, shadow: bool = True, **changes: Any) -> Context:
@@ -59,7 +61,7 @@ class Side(Held):
         return [event.refusal for event in self.told(events.Prepared) if event.item is item]
 
     def until_prepared(self, item: Item = Item.PLANS) -> "Side":
-        self.run(60.0, until=lambda: bool(self.refusals(item)))
+        self.until(lambda: bool(self.refusals(item)), 60.0)
         return self
 
 
@@ -87,20 +89,20 @@ def test_all_comes_whole_and_what_is_set_is_read_back(way: Any, fault: str) -> N
     rally = [stored(5100, 0.0, -100.0 * k, 30.0) for k in range(3)]
     lists = {FENCE: polygon(40), MISSION: waypoints(9), RALLY: rally}
     for kind, items in lists.items():
-        it.draw(kind, *items)
-    it.simulation.add_fault(fault)
-    assert it.run(120.0, until=lambda: client.is_done and plans.is_done) < FAULTS[fault]
+        it.plan(kind, *items)
+    it.fault(fault)
+    it.until(lambda: client.is_done and plans.is_done, FAULTS[fault])
     assert client.values == pytest.approx(known, rel=1e-6)
     read_s = [at_s for at_s, m in it.sent if at_s < 20.0 and m.get_type() == "PARAM_REQUEST_READ"]
     for at_s in read_s if "link_off" in fault else ():
         assert sum(at_s <= other < at_s + ANSWER_S - 0.02 for other in read_s) <= 6
     for name, value in sets.items():
         client.set(name, value)
-    it.run(30.0, until=lambda: client.is_done)
-    assert (client.is_done, client.failed_sets) == (True, {})
+    it.until(lambda: client.is_done, 30.0)
+    assert client.failed_sets == {}
     for values in (client.values, there):
         assert {name: values[name] for name in sets} == pytest.approx(sets)
-    it.simulation.add_fault("for 30 s: link_off")
+    it.fault("for 30 s: link_off")
     it.run(30.0)
     for kind, items in lists.items():
         begin = int(kind == MISSION and way[0] == "ardupilot")  # item 0 is home there
@@ -117,9 +119,8 @@ def test_a_fence_that_is_drawn_in_flight_is_told_before_it_is_read(way: Any) -> 
     sizes = [(5, 100.0), (5, 140.0), (0, 0.0), (40, 100.0), (60, 100.0), (60, 140.0)]
     for fence in (polygon(items, size_m) for items, size_m in sizes):  # more; as many, elsewhere
         it.events.clear()
-        it.draw(FENCE, *fence)
-        took_s = it.run(90.0, until=lambda: bool(it.told(FenceChanged)))
-        assert took_s < (10.0 if len(fence) < 40 else 90.0)
+        it.plan(FENCE, *fence)
+        it.until(lambda: bool(it.told(FenceChanged)), 10.0 if len(fence) < 40 else 90.0)
         it.run(1.3)
         told = it.told(FenceReading, FenceChanged)
         kinds = [FenceReading, FenceChanged, FenceReading] if fence else [FenceChanged]
@@ -146,14 +147,14 @@ def test_plans_are_not_done_before_a_fence_about_home_is_drawn() -> None:
 def test_the_fence_that_is_known_stays_in_force_while_it_is_read_anew() -> None:
     it = Side(PX4)
     it.simulation.set_parameter("GF_MAX_HOR_DIST", 400.0)
-    it.draw(FENCE, *polygon(7))
+    it.plan(FENCE, *polygon(7))
     it.run(8.0)
     it.side.rebooted()
     it.hears_home = False
     it.run(8.0)
     assert [len(event.zones) for event in it.told(FenceChanged)] == [2]  # not: what needs no home
     assert any("2 zones stay in force" in note for note in it.side.notes)
-    it.draw(FENCE)
+    it.plan(FENCE)
     it.hears_home = True
     it.run(20.0)
     assert [len(event.zones) for event in it.told(FenceChanged)] == [2, 1]
@@ -201,10 +202,10 @@ def test_who_keeps_setting_a_parameter_back_is_said_once_and_not_fought_for_ever
 ) -> None:
     """COM_OBL_RC_ACT is to be 5; a ground station sets it back to 0."""
     it = Side(PX4, sets=True)
-    it.run(30.0, until=lambda: it.simulation.parameters["COM_OBL_RC_ACT"] == 5.0)
+    it.until(lambda: it.simulation.parameters["COM_OBL_RC_ACT"] == 5.0, 30.0)
     it.run(3.0)
     for _ in range(times):
-        it.other(wire.MAVLink_param_set_message(1, 1, b"COM_OBL_RC_ACT", 0.0, 6))
+        it.send(wire.MAVLink_param_set_message(1, 1, b"COM_OBL_RC_ACT", 0.0, 6), source=GCS)
         it.run(each_s)
     assert it.side.parameters.values["COM_OBL_RC_ACT"] == ends_as
     said = [line.split(". ")[0] for line in it.refusals(Item.PARAMETERS) if line]
@@ -303,6 +304,6 @@ def test_it_is_armed_and_disarmed_without_force_and_a_take_off_is_taken_once_acc
 def test_how_the_vehicles_own_mission_ends_is_not_passed_over_in_silence() -> None:
     """The companion ends as its own mission says: who has drawn an RTL has to hear of it."""
     it = Side(COPTER, targets_from_vehicle=True)
-    it.draw(MISSION, *waypoints(3), stored(20, 0.0, 0.0, 0.0))
+    it.plan(MISSION, *waypoints(3), stored(20, 0.0, 0.0, 0.0))
     said = it.until_prepared().side.notes
     assert said == ["its mission ends with return; what counts is end.action: land"]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from held import recorded
-from lidars import attitude, health, obstacle_distance, tell
+from lidars import attitude, beam, health, obstacle_distance, tell
 from msgspec.structs import replace as changed
 from numpy.typing import NDArray
 from wires import wire
@@ -113,16 +113,22 @@ def test_a_scan_waits_for_a_new_sweep_and_no_longer_than_it_may_and_changes_noth
     np.testing.assert_array_equal(before.with_scan(done.scan).upper_m, before.upper_m)
 
 
-def test_a_healthy_sensor_of_the_autopilot_that_sees_nothing_has_answered() -> None:
+def test_the_silence_of_a_lidar_of_the_autopilot_is_an_answer_while_it_is_well() -> None:
     of = replace(MISSION, near=replace(MISSION.near, kind="distance_sensor", component_id=1))
     scanner = NearScanner(of, Poses(of.frame))
-    for now_s, well, sight in ((100.0, 1, Sight.NOTHING_THERE), (105.0, 0, Sight.NEVER_HEARD)):
-        tell(scanner, health(well=bool(well)), now_s)
+    for now_s, message, sight in (
+        (90.0, health(well=True), Sight.NOTHING_THERE),
+        (95.0, health(well=False), Sight.NEVER_HEARD),
+        (100.0, beam(100.0), Sight.SEES),
+        (101.0, health(well=True), Sight.NOTHING_THERE),
+        (102.0, health(well=False), Sight.DEAD),
+    ):
+        tell(scanner, message, now_s)
         seen: Any = scanner.seen(now_s, MISSION.known)
         assert seen.sight is sight
         scanner.begin((20.0, 20.0, 405.0), State.of(of, MISSION.known), now_s)
         done: Any = scanner.go_on(now_s + 1.0, None)
-        assert done.answered == well
+        assert done.answered == (not sight.is_blind)
 
 
 @pytest.mark.parametrize("clock_s", [None, 2.0], ids=["runs on", "begins anew"])

@@ -15,6 +15,7 @@ from wires import heard
 from companion.mavlink.dialect import wire
 from companion.mavlink.parameter_client import ParameterClient, decoded, encoded
 from companion.mavlink.plan_client import FENCE, MISSION, RALLY, PlanClient
+from vehicle_sim.plans import PlanKind
 
 OURS, PERSON = (1, 195), (255, 190)
 READ, LIST = "PARAM_REQUEST_READ", "MISSION_REQUEST_LIST"
@@ -98,16 +99,16 @@ def test_looks_leave_the_autopilot_idle_for_the_others(firmware: Any) -> None:
     """A ground station on the same link may upload right after each of our looks."""
     held = Held(firmware)
     held.client = PlanClient(1)
-    held.draw(FENCE, *polygon(12))
-    held.draw(MISSION, *waypoints(10))
+    held.plan(PlanKind.FENCE, *polygon(12))
+    held.plan(PlanKind.MISSION, *waypoints(10))
     held.run(30.0)
     looks = len(held.sent)
-    held.run(6.0, lambda: len(held.sent) > looks)
+    held.until(lambda: len(held.sent) > looks, 6.0)
     held.run(0.3)
     begun = len(held.heard)
-    held.other(wire.MAVLink_mission_count_message(1, 1, 1, FENCE))
+    held.send(wire.MAVLink_mission_count_message(1, 1, 1, FENCE), source=PERSON)
     held.run(0.05)
-    requests = [each for each in held.heard[begun:] if "MISSION_REQUEST" in each.get_type()]
+    requests = [each.message for each in held.heard[begun:] if "MISSION_REQUEST" in each.kind]
     assert [(each.target_system, each.target_component) for each in requests] == [PERSON]
 
 
