@@ -71,9 +71,7 @@ def test_the_bundled_missions_fit_the_vehicles_that_fly_them(name: str) -> None:
 
 
 @ALL_FOUR
-def test_each_rule_can_be_read_and_refuses_what_is_missing_only_if_it_is_essential(
-    way: Way,
-) -> None:
+def test_each_rule_can_be_read_and_essential_ones_refuse_what_is_missing(way: Way) -> None:
     names = [name for rule in TABLES[way] for name in rule.names]
     assert len(names) == len(set(names))
     assert all(0 < len(name) <= 16 and name.isascii() for name in names)

@@ -122,9 +122,7 @@ ASKS += " TERRAIN_REQUEST STATUSTEXT COMMAND_LONG"
 
 
 @pytest.mark.parametrize("name", MISSIONS)
-def test_a_vehicle_that_may_fly_is_only_asked_and_passes_and_each_line_names_what(
-    name: str,
-) -> None:
+def test_a_vehicle_that_may_fly_is_only_asked_and_passes(name: str) -> None:
     good = Pair(name).looked_at()
     sent = codec(1).parse_buffer(b"".join(good.frames))
     assert {"PARAM_REQUEST_READ"} < {m.get_type() for m in sent} <= set(ASKS.split())
