@@ -110,7 +110,9 @@ def test_a_message_that_cannot_be_understood_says_nothing() -> None:
         *({"increment": 0}, {"increment_f": math.nan}, {"increment_f": 361.0}),
         *({"angle_offset": math.inf}, {"min_distance": 2000}, *({"frame": f} for f in frames)),
     ):
-        assert swept(LIDAR, (obstacle_distance([500], **fields), NOW_S)) == [], fields
+        sensing = NearSensing(LIDAR, standing())
+        tell(sensing, obstacle_distance([500], **fields), NOW_S)
+        assert (sensing.sweeps(), sensing.sight(NOW_S)) == ([], Sight.NEVER_HEARD), fields
 
 
 def test_sweeps_are_of_their_time_and_no_more_than_thirty_a_second() -> None:
