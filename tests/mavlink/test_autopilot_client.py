@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
+from harness import GCS
 from held import FOUR, MISSIONS, Held, placed, polygon, stored, waypoints
 from wires import assert_told, heard, over_the_wire
 
@@ -14,13 +15,14 @@ from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_MULTICOPTER, Autop
 from companion.mavlink.dialect import EventMessage, codec, wire
 from companion.mavlink.frames import Receiver
 from companion.mavlink.parameter_client import ANSWER_S
-from companion.mavlink.plan_client import FENCE, MISSION, RALLY
 from companion.mission import checkpoint, events
 from companion.mission.decisions import Context
 from companion.mission.events import FenceChanged, FenceReading, Item
 from companion.mission.state import State
+from vehicle_sim.plans import PlanKind
 
 COPTER, PX4 = FOUR[0], FOUR[2]
+MISSION, FENCE, RALLY = PlanKind
 
 
 def context(name: str = "sitl-px4", *, shadow: bool = True, **changes: Any) -> Context:
@@ -36,7 +38,7 @@ class Side(Held):
         number = FOUR.index(way)
         of = context(MISSIONS[number], shadow=not sets, **changes)
         self.side = AutopilotClient(of, 1, ALL[number])
-        self.client, self.hears_home = self, True
+        self.client, self.hears_home, self.deaf_to = self, True, ""
         self.events: list[Any] = []
 
     def on_message(self, message: Any, now_s: float) -> list[Any]:
@@ -47,6 +49,9 @@ class Side(Held):
         self.side.event_of(message, now_s)
         self.events += self.side.news(now_s)
         return replies
+
+    def say(self, messages: list[Any]) -> None:
+        super().say([each for each in messages if each.get_type() != self.deaf_to])
 
     def on_time(self, now_s: float) -> list[Any]:
         begin = [] if self.side.streams.begun else self.side.streams.begin(now_s)
@@ -60,7 +65,7 @@ class Side(Held):
         return [event.refusal for event in self.told(events.Prepared) if event.item is item]
 
     def until_prepared(self, item: Item = Item.PLANS) -> "Side":
-        self.run(60.0, until=lambda: bool(self.refusals(item)))
+        self.until(lambda: bool(self.refusals(item)), 60.0)
         return self
 
 
@@ -88,20 +93,20 @@ def test_all_comes_whole_and_what_is_set_is_read_back(way: Any, fault: str) -> N
     rally = [stored(5100, 0.0, -100.0 * k, 30.0) for k in range(3)]
     lists = {FENCE: polygon(40), MISSION: waypoints(9), RALLY: rally}
     for kind, items in lists.items():
-        it.draw(kind, *items)
-    it.simulation.add_fault(fault)
-    assert it.run(120.0, until=lambda: client.is_done and plans.is_done) < FAULTS[fault]
+        it.plan(kind, *items)
+    it.fault(fault)
+    it.until(lambda: client.is_done and plans.is_done, FAULTS[fault])
     assert client.values == pytest.approx(known, rel=1e-6)
     read_s = [at_s for at_s, m in it.sent if at_s < 20.0 and m.get_type() == "PARAM_REQUEST_READ"]
     for at_s in read_s if "link_off" in fault else ():
         assert sum(at_s <= other < at_s + ANSWER_S - 0.02 for other in read_s) <= 6
     for name, value in sets.items():
         client.set(name, value)
-    it.run(30.0, until=lambda: client.is_done)
-    assert (client.is_done, client.failed_sets) == (True, {})
+    it.until(lambda: client.is_done, 30.0)
+    assert client.failed_sets == {}
     for values in (client.values, there):
         assert {name: values[name] for name in sets} == pytest.approx(sets)
-    it.simulation.add_fault("for 30 s: link_off")
+    it.fault("for 30 s: link_off")
     it.run(30.0)
     for kind, items in lists.items():
         begin = int(kind == MISSION and way[0] == "ardupilot")  # item 0 is home there
@@ -118,9 +123,8 @@ def test_a_fence_that_is_drawn_in_flight_is_told_before_it_is_read(way: Any) -> 
     sizes = [(5, 100.0), (5, 140.0), (0, 0.0), (40, 100.0), (60, 100.0), (60, 140.0)]
     for fence in (polygon(items, size_m) for items, size_m in sizes):  # more; as many, elsewhere
         it.events.clear()
-        it.draw(FENCE, *fence)
-        took_s = it.run(90.0, until=lambda: bool(it.told(FenceChanged)))
-        assert took_s < (10.0 if len(fence) < 40 else 90.0)
+        it.plan(FENCE, *fence)
+        it.until(lambda: bool(it.told(FenceChanged)), 10.0 if len(fence) < 40 else 90.0)
         it.run(1.3)
         told = it.told(FenceReading, FenceChanged)
         kinds = [FenceReading, FenceChanged, FenceReading] if fence else [FenceChanged]
@@ -132,29 +136,23 @@ def test_a_fence_that_is_drawn_in_flight_is_told_before_it_is_read(way: Any) -> 
     assert not it.told(FenceReading)
 
 
-def test_plans_are_not_done_before_a_fence_about_home_is_drawn() -> None:
+def test_a_fence_about_home_waits_for_home_and_stays_in_force_while_it_is_read_anew() -> None:
     """Else a vehicle whose home is heard last arms before its fence is held against the mission."""
-    it = Side(COPTER)
-    for name, value in (("FENCE_ENABLE", 1.0), ("FENCE_TYPE", 2.0), ("FENCE_RADIUS", 60.0)):
-        it.simulation.set_parameter(name, value)
+    it = Side(PX4)
+    it.simulation.set_parameter("GF_MAX_HOR_DIST", 60.0)
+    it.plan(FENCE, *polygon(7))
     it.hears_home = False
     it.run(30.0)
     assert not it.refusals(Item.PLANS)
     it.hears_home = True
     assert "fence about home (radius 60 m)" in it.until_prepared().refusals(Item.PLANS)[0]
-
-
-def test_the_fence_that_is_known_stays_in_force_while_it_is_read_anew() -> None:
-    it = Side(PX4)
-    it.simulation.set_parameter("GF_MAX_HOR_DIST", 400.0)
-    it.draw(FENCE, *polygon(7))
-    it.run(8.0)
     it.side.rebooted()
+    assert (it.side.parameters.is_done, it.side.parameters.values) == (False, {})
     it.hears_home = False
     it.run(8.0)
     assert [len(event.zones) for event in it.told(FenceChanged)] == [2]  # not: what needs no home
     assert any("2 zones stay in force" in note for note in it.side.notes)
-    it.draw(FENCE)
+    it.plan(FENCE)
     it.hears_home = True
     it.run(20.0)
     assert [len(event.zones) for event in it.told(FenceChanged)] == [2, 1]
@@ -196,37 +194,33 @@ def test_a_breach_is_what_autopilots_say_of_one() -> None:
     assert told_of == [False, True, False, False, True]
 
 
-@pytest.mark.parametrize(("times", "each_s", "ends_as"), [(1, 12.0, 5.0), (6, 9.0, 0.0)])
-def test_who_keeps_setting_a_parameter_back_is_said_once_and_not_fought_for_ever(
-    times: int, each_s: float, ends_as: float
+@pytest.mark.parametrize(
+    ("times", "each_s", "ends_as", "refusal"),
+    [
+        (1, 12.0, 5.0, ""),
+        (6, 9.0, 0.0, "somebody keeps setting it back. End that: "),
+        (0, 0.0, 0.0, "it was told 5 and says 0. Set it to 5 by hand: "),
+    ],
+)
+def test_a_parameter_that_does_not_stay_as_set_is_refused_once_and_not_fought_for_ever(
+    times: int, each_s: float, ends_as: float, refusal: str
 ) -> None:
-    """COM_OBL_RC_ACT is to be 5; a ground station sets it back to 0."""
+    """COM_OBL_RC_ACT is to be 5; a station sets it back to 0 so often, or PARAM_SET is lost."""
     it = Side(PX4, sets=True)
-    it.run(30.0, until=lambda: it.simulation.parameters["COM_OBL_RC_ACT"] == 5.0)
-    it.run(3.0)
+    it.simulation.set_parameter("COM_OBL_RC_ACT", 0.0)
+    it.deaf_to = "" if times else "PARAM_SET"
+    it.until(lambda: it.side.parameters.is_done and bool(it.refusals(Item.PARAMETERS)), 30.0)
     for _ in range(times):
-        it.other(wire.MAVLink_param_set_message(1, 1, b"COM_OBL_RC_ACT", 0.0, 6))
+        it.send(wire.MAVLink_param_set_message(1, 1, b"COM_OBL_RC_ACT", 0.0, 6), source=GCS)
         it.run(each_s)
     assert it.side.parameters.values["COM_OBL_RC_ACT"] == ends_as
-    said = [line.split(". ")[0] for line in it.refusals(Item.PARAMETERS) if line]
-    assert said == ["COM_OBL_RC_ACT = 0: somebody keeps setting it back"] * (times > 1)
+    said = [line for line in it.refusals(Item.PARAMETERS) if line]
+    rule = "when the stream stops the vehicle sinks without RC"
+    assert said == [f"COM_OBL_RC_ACT = 0: {refusal}{rule}"] * bool(refusal)
     notes = [note for note in it.side.notes if "COM_OBL_RC_ACT" in note]
     assert notes == ["set COM_OBL_RC_ACT to 5"]
     sets = [each for _, each in it.sent if each.get_type() == "PARAM_SET"]
-    assert 2 <= [each.param_id for each in sets].count("COM_OBL_RC_ACT") <= 6
-
-
-def test_what_could_not_be_set_is_refused_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    it = Side(PX4, sets=True)
-    it.simulation.set_parameter("COM_OBL_RC_ACT", 0.0)
-    say = it.say
-    monkeypatch.setattr(
-        it, "say", lambda told: say([each for each in told if each.get_type() != "PARAM_SET"])
-    )
-    assert it.until_prepared(Item.PARAMETERS).refusals(Item.PARAMETERS)[0] == (
-        "COM_OBL_RC_ACT = 0: it was told 5 and says 0. Set it to 5 by hand: "
-        "when the stream stops the vehicle sinks without RC"
-    )
+    assert 2 * bool(times) <= [each.param_id for each in sets].count("COM_OBL_RC_ACT") <= 6
 
 
 @pytest.mark.parametrize("shift_s", [-595.0, 86_400.0])
@@ -315,6 +309,6 @@ def test_of_answers_to_setpoints_only_the_refusals_of_an_arduplane_are_noted(
 def test_how_the_vehicles_own_mission_ends_is_not_passed_over_in_silence() -> None:
     """The companion ends as its own mission says: who has drawn an RTL has to hear of it."""
     it = Side(COPTER, targets_from_vehicle=True)
-    it.draw(MISSION, *waypoints(3), stored(20, 0.0, 0.0, 0.0))
+    it.plan(MISSION, *waypoints(3), stored(20, 0.0, 0.0, 0.0))
     said = it.until_prepared().side.notes
     assert said == ["its mission ends with return; what counts is end.action: land"]

@@ -114,9 +114,7 @@ def test_what_is_ordered_and_answered(kind: OrderKind | None, result: int | None
 
 
 @given(st.floats(-9e3, 9e3), st.floats(-9e3, 9e3), st.sampled_from([0, 3, 5, 6, 1, 4, 8, 12]))
-def test_a_new_target_lies_where_told_if_that_is_on_the_map_in_a_frame_with_a_place(
-    north_m: float, east_m: float, frame: int
-) -> None:
+def test_a_new_target_lies_where_told(north_m: float, east_m: float, frame: int) -> None:
     x, y = geodetic_e7(north_m, east_m)
     limits = MISSION.task.limits
     edges_m = [north_m - at for at in limits.north_m] + [east_m - at for at in limits.east_m]

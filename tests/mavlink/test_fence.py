@@ -10,23 +10,22 @@ import pytest
 from held import HOME_DEG, HOME_M
 from hypothesis import given
 from hypothesis import strategies as st
-from planning import limits
 
+from companion.config import load_mission
 from companion.geodesy import LocalFrame, deg_e7
 from companion.mavlink.autopilots import ARDUCOPTER, PX4_MULTICOPTER
 from companion.mavlink.fence import Fence, conflicts, drawn, in_force
 from companion.mavlink.mission_items import targets_of
 from companion.mavlink.plan_client import PlanItem
 from companion.mission.mission import EndAction
-from companion.planner.settings import PlannerSettings, Task
 from vehicle_sim.autopilot.earth import FlatEarth, Projection
 from vehicle_sim.autopilot.guards import Fence as ArduPilotFence
 from vehicle_sim.autopilot.guards import Zones
 from vehicle_sim.autopilot.values import Place
-from vehicle_sim.plans import PlanItem as Stored
 from vehicle_sim.plans import PlanKind, Plans
 
 FRAME = LocalFrame(latitude_deg=HOME_DEG[0], longitude_deg=HOME_DEG[1])
+TASK = load_mission("valley").task
 ON = {"FENCE_ENABLE": 1.0, "FENCE_TYPE": 4.0, "FENCE_MARGIN": 0.0, "FENCE_OPTIONS": 1.0}
 IN, OUT, CIRCLE_IN, CIRCLE_OUT = range(5001, 5005)
 SQUARE = ((-100.0, -100.0), (-100.0, 100.0), (100.0, 100.0), (100.0, -100.0))
@@ -72,13 +71,10 @@ def shapes(draw: st.DrawFn) -> list[PlanItem]:
     return ring(command, *draw(st.lists(places, min_size=3, max_size=7, unique=True)))
 
 
-def allows(items: list[PlanItem], at_ne_m: Any, parameters: dict[str, float] | None) -> bool:
+def allows(items: Any, at_ne_m: Any, parameters: dict[str, float] | None) -> bool:
     """Whether the autopilot itself does: ArduPilot with these parameters, or PX4."""
     plans, home = Plans(), Place(*HOME_DEG, HOME_M)
-    plans[PlanKind.FENCE] = tuple(
-        Stored(frame=0, command=each.command, parameters=each.parameters, x=each.x, y=each.y)
-        for each in items
-    )
+    plans[PlanKind.FENCE] = tuple(items)  # theirs have the same fields
     place = Place(*FRAME.to_geodetic_deg(*at_ne_m), HOME_M)
     if parameters is None:
         return not Zones(plans).forbid(Projection(home), place, union=True)
@@ -169,14 +165,12 @@ def test_inclusions_of_which_one_is_enough_are_those_that_the_vehicle_is_in() ->
         ([item(4999, 50.0, 0.0, 0.0)], "no fence (4999)"),
     ],
 )
-def test_what_cannot_be_kept_is_refused_and_takes_no_other_with_it(
-    items: list[PlanItem], words: str
-) -> None:
+def test_what_cannot_be_kept_is_refused_alone(items: list[PlanItem], words: str) -> None:
     around = item(CIRCLE_OUT, 500.0, 0.0, 50.0)
     fence = zones_of([around, *items, around], {**ON, "FENCE_MARGIN": 2.0})
     assert words in fence.refusal
     assert "\n" not in fence.refusal
-    assert conflicts(fence, task(), ()) == (fence.refusal,)
+    assert conflicts(fence, TASK, ()) == (fence.refusal,)
     assert len([zone for zone in fence.zones if room_m(fence, (500.0, 0.0)) < -50.0]) >= 2
 
 
@@ -214,23 +208,16 @@ def test_a_cylinder_about_home_is_what_parameters_say(bits: int) -> None:
     assert cylinder({"GF_MAX_VER_DIST": 120.0}) == (None, HOME_M + 120.0, math.inf)
 
 
-def task() -> Task:
-    wide_m = (-5000.0, 5000.0)
-    band = limits(floor_amsl_m=500.0, ceiling_amsl_m=660.0, north_m=wide_m, east_m=wide_m)
-    settings = PlannerSettings(scan_range_m=1500.0, safety_distance_m=40.0, planning_time_s=3.0)
-    return Task(limits=band, settings=settings)
-
-
 def test_a_mission_that_leaves_the_fence_is_refused_with_words() -> None:
     parameters = {**CYLINDER, "FENCE_ENABLE": 1.0, "FENCE_TYPE": 3.0, "FENCE_MARGIN": 2.0}
     fence = zones_of((), parameters, home_nea_m=(0.0, 0.0, HOME_M))
-    assert conflicts(fence, task(), [(0.0, 90.0)]) == ()
-    (line,) = conflicts(fence, task(), [(0.0, 90.0), (0.0, 488.0)])
+    assert conflicts(fence, TASK, [(0.0, 90.0)]) == ()
+    (line,) = conflicts(fence, TASK, [(0.0, 90.0), (0.0, 488.0)])
     assert line == (
         "target 2: 390 m too far from being inside of the vehicle's fence about home "
         "(radius 150 m) by the clearance of 50 m. Move the target, or change the fence"
     )
-    (thin,) = conflicts(zones_of((), parameters, home_nea_m=(0, 0, 410.0)), task(), ())
+    (thin,) = conflicts(zones_of((), parameters, home_nea_m=(0, 0, 410.0)), TASK, ())
     assert "leaves 500 to 508 m AMSL" in thin
 
 
@@ -253,22 +240,12 @@ def test_targets_are_the_places_between_take_off_and_the_end() -> None:
         assert (found.end_action, len(found.targets_ne_m)) == end
 
 
-def begins_of_px4(items: Sequence[PlanItem]) -> list[int]:
-    """Where PX4's `Geofence::_updateFence` takes a shape to begin."""
-    begins, sequence, is_circle_area = [], 0, False
-    while sequence < len(items):
-        is_circle_area = is_circle_area or items[sequence].command in (CIRCLE_IN, CIRCLE_OUT)
-        begins.append(sequence)
-        sequence += 1 if is_circle_area else int(items[sequence].parameters[0])
-    return begins
-
-
 @given(st.lists(shapes(), max_size=6))
-def test_px4_misreads_what_is_named_and_nothing_else(drawn: list[list[PlanItem]]) -> None:
-    items, misread = list(itertools.chain(*drawn)), PX4_MULTICOPTER.firmware.misread
-    begins = [0, *itertools.accumulate(map(len, drawn))][:-1]
-    said = misread(items, "PX4")
-    assert bool(said) == (begins_of_px4(items) != begins)
+def test_px4_misreads_a_polygon_after_a_circle_and_nothing_else(
+    drawn: list[list[PlanItem]],
+) -> None:
+    """From there on its `Geofence::_updateFence` takes each item for the beginning of a shape."""
+    is_circle = [shape[0].command in (CIRCLE_IN, CIRCLE_OUT) for shape in drawn]
+    said = PX4_MULTICOPTER.firmware.misread(list(itertools.chain(*drawn)), "PX4")
+    assert bool(said) == (is_circle != sorted(is_circle))
     assert not said or said.endswith("Upload polygons before circles")
-    in_order = sorted(drawn, key=lambda shape: shape[0].command in (CIRCLE_IN, CIRCLE_OUT))
-    assert misread(list(itertools.chain(*in_order)), "PX4") == ""

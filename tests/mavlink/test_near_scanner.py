@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 from held import recorded
-from lidars import attitude, health, obstacle_distance, tell
+from lidars import attitude, beam, health, obstacle_distance, tell
 from msgspec.structs import replace as changed
-from numpy.typing import NDArray
 from wires import wire
 
 from companion.config import load_mission
@@ -113,16 +112,22 @@ def test_a_scan_waits_for_a_new_sweep_and_no_longer_than_it_may_and_changes_noth
     np.testing.assert_array_equal(before.with_scan(done.scan).upper_m, before.upper_m)
 
 
-def test_a_healthy_sensor_of_the_autopilot_that_sees_nothing_has_answered() -> None:
+def test_the_silence_of_a_lidar_of_the_autopilot_is_an_answer_while_it_is_well() -> None:
     of = replace(MISSION, near=replace(MISSION.near, kind="distance_sensor", component_id=1))
     scanner = NearScanner(of, Poses(of.frame))
-    for now_s, well, sight in ((100.0, 1, Sight.NOTHING_THERE), (105.0, 0, Sight.NEVER_HEARD)):
-        tell(scanner, health(well=bool(well)), now_s)
+    for now_s, message, sight in (
+        (90.0, health(well=True), Sight.NOTHING_THERE),
+        (95.0, health(well=False), Sight.NEVER_HEARD),
+        (100.0, beam(100.0), Sight.SEES),
+        (101.0, health(well=True), Sight.NOTHING_THERE),
+        (102.0, health(well=False), Sight.DEAD),
+    ):
+        tell(scanner, message, now_s)
         seen: Any = scanner.seen(now_s, MISSION.known)
         assert seen.sight is sight
         scanner.begin((20.0, 20.0, 405.0), State.of(of, MISSION.known), now_s)
         done: Any = scanner.go_on(now_s + 1.0, None)
-        assert done.answered == well
+        assert done.answered == (not sight.is_blind)
 
 
 @pytest.mark.parametrize("clock_s", [None, 2.0], ids=["runs on", "begins anew"])
@@ -134,28 +139,20 @@ def test_silence_is_told_once_and_so_is_the_return_of_sight(clock_s: float | Non
     assert [seen.sight for seen in it.run(3)] == [Sight.SEES] * 3
 
 
-def test_of_the_autopilot_its_attitude_is_asked_for_and_its_own_sectors() -> None:
-    for kind, component, message in (
-        ("obstacle_distance", 196, 330),
-        ("distance_sensor", 158, 132),
-        ("distance_sensor", 1, 132),
-    ):
-        of: Any = replace(MISSION.near, kind=kind, component_id=component)
-        scanner = NearScanner(replace(MISSION, near=of), Poses(MISSION.frame))
-        health = {(1, 1)} if message == 132 else set()
-        assert scanner.reads.keys() == {(1, 30), (component, message), *health}
-        assert scanner.streams_hz == {30: 20.0} | ({132: 20.0} if component == 1 else {})
-
-
 # --- what a lidar behind a real autopilot saw among posts of known place (recordings/README.md)
 
 HOME = LocalFrame(latitude_deg=51.8752066, longitude_deg=14.6487830)
 LIDAR = NearSensor(kind="distance_sensor", component_id=1, range_m=16.0, blind_m=0.2)
-POSTS = np.array([(3 + 10 * i, 2 + 10 * j) for i in range(-10, 10) for j in range(-10, 10)])
-LATTICE = Lattice(cell_m=0.25, north_min_m=-150.0, east_min_m=-150.0, shape=(1200, 1200))
+CELL_M = 0.25
+LATTICE = Lattice(cell_m=CELL_M, north_min_m=-150.0, east_min_m=-150.0, shape=(1200, 1200))
+NORTH_M, EAST_M = LATTICE.middles_m()
+FROM_POST_M = np.abs((NORTH_M - 8.0) % 10.0 - 5.0), np.abs((EAST_M - 7.0) % 10.0 - 5.0)
+"""North and east: there is one of 1 m radius at 3 and 2 m, and 10 m on another, and so on."""
+OF_POSTS = np.hypot(*(np.maximum(off_m - 0.5 * CELL_M, 0.0) for off_m in FROM_POST_M)) < 1.0
+BETWEEN = np.hypot(*FROM_POST_M) > 1.75
 
 
-def seen(until_s: float) -> Iterator[tuple[float, NDArray[np.float64], NearSensing]]:
+def seen(until_s: float) -> Iterator[tuple[float, tuple[float, float], NearSensing]]:
     """Vehicle time, place and what the lidar says, at each position."""
     poses, now_s, where = Poses(HOME), 0.0, wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
     sensing = NearSensing(LIDAR, poses)
@@ -169,7 +166,7 @@ def seen(until_s: float) -> Iterator[tuple[float, NDArray[np.float64], NearSensi
             if now_s >= until_s:
                 return
             poses.on_position(now_s, told.position_nea_m)
-            yield now_s, np.array(told.position_nea_m[:2]), sensing
+            yield now_s, told.position_nea_m[:2], sensing
 
 
 def test_times_of_silence_are_told_apart() -> None:
@@ -183,28 +180,16 @@ def test_times_of_silence_are_told_apart() -> None:
     assert seconds[Sight.SEES] == pytest.approx(16.0, abs=0.5)
 
 
-def cells_of(points: NDArray[np.float64]) -> tuple[Any, Any]:
-    low = np.array([LATTICE.north_min_m, LATTICE.east_min_m])
-    cells = np.floor((points - low) / LATTICE.cell_m).astype(int)
-    return cells[:, 0], cells[:, 1]
-
-
 @pytest.mark.parametrize("until_s", [110.0, pytest.param(220.0, marks=pytest.mark.nightly)])
 def test_at_no_time_is_a_post_free_and_the_space_between_is(until_s: float) -> None:
-    turn = np.linspace(0.0, math.tau, 100)  # 6 cm apart: a cell has 25
-    around = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-    surfaces = (POSTS[:, None] + around).reshape(-1, 2)
     near, share, looked_s = NearMap(LATTICE), [], 55.0
     for now_s, here, sensing in seen(until_s):
         for each in sensing.sweeps():
             near.add(each)
-        if now_s < looked_s:
-            continue
-        looked_s = now_s + 2.0
-        assert not near.free()[cells_of(np.concatenate([surfaces, POSTS]))].any(), now_s
-        disc = here + 4.0 * np.random.default_rng(1).uniform(-1.0, 1.0, (500, 2))
-        apart = np.hypot(*(disc[:, None] - POSTS[None]).transpose(2, 0, 1)).min(axis=1) - 1.0
-        inside = np.hypot(*(disc - here).T) < 4.0
-        share.append(near.free()[cells_of(disc[inside & (apart > 0.75)])].mean())
+        if now_s >= looked_s:
+            looked_s, free = now_s + 2.0, near.free()
+            assert not free[OF_POSTS].any(), now_s
+            about = np.hypot(NORTH_M - here[0], EAST_M - here[1]) < 4.0
+            share.append(free[about & BETWEEN].mean())
     assert len(share) > 0.45 * (until_s - 55.0)
     assert np.mean(share) > 0.85

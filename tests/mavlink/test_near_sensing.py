@@ -37,11 +37,12 @@ def standing(yaw_rad: float = 0.0, pitch_rad: float = 0.0) -> Poses:
     return poses
 
 
-def read(message: Any, poses: Poses | None = None, sensor: NearSensor = LIDAR) -> Sweep:
+def swept(sensor: NearSensor, *told: tuple[Any, float], poses: Poses | None = None) -> list[Sweep]:
+    """What is made of messages, each with the time at which it was heard."""
     sensing = NearSensing(sensor, poses or standing())
-    sensing.on_obstacle_distance(message, NOW_S)
-    (sweep,) = sensing.sweeps()
-    return sweep
+    for message, now_s in told:
+        tell(sensing, message, now_s)
+    return sensing.sweeps()
 
 
 def clear_m(sweep: Sweep, *bearings_deg: float) -> Any:
@@ -76,7 +77,7 @@ def test_each_sector_says_how_far_it_is_clear_about_its_own_direction(
     turn = math.radians(yaw_deg)
     sensor = replace(LIDAR, yaw_rad=math.radians(mounted_deg), forward_m=0.5, right_m=0.2)
     message = obstacle_distance(told_cm, **width, angle_offset=offset_deg, frame=frame)
-    sweep = read(message, standing(turn), sensor)
+    [sweep] = swept(sensor, (message, NOW_S), poses=standing(turn))
     first_deg = offset_deg + (0.0 if frame in NORTH else yaw_deg + mounted_deg)
     count = min(72, int(360.0 // abs(width_deg)))
     for k in range(count):
@@ -94,11 +95,13 @@ def test_each_sector_says_how_far_it_is_clear_about_its_own_direction(
 
 def test_a_tilted_beam_says_nothing_of_what_lies_beyond_its_slab() -> None:
     tilt = math.radians(20.0)
-    sweep = read(obstacle_distance([2001]), standing(pitch_rad=-tilt))  # nose down
-    assert clear_m(sweep, 0.0) == [LIDAR.speaks_for_m / math.tan(tilt)]
-    assert sweep.clear_m[18] == pytest.approx(20.0, abs=0.1)  # aside
-    level = read(obstacle_distance([400]), standing(pitch_rad=-tilt))
-    assert level.echo_m[0] == pytest.approx(4.0 * math.cos(tilt))
+    down, met = (
+        swept(LIDAR, (obstacle_distance([cm]), NOW_S), poses=standing(pitch_rad=-tilt))[0]
+        for cm in (2001, 400)
+    )
+    assert clear_m(down, 0.0) == [LIDAR.speaks_for_m / math.tan(tilt)]
+    assert down.clear_m[18] == pytest.approx(20.0, abs=0.1)  # aside
+    assert met.echo_m[0] == pytest.approx(4.0 * math.cos(tilt))
 
 
 def test_a_message_that_cannot_be_understood_says_nothing() -> None:
@@ -108,7 +111,7 @@ def test_a_message_that_cannot_be_understood_says_nothing() -> None:
         *({"angle_offset": math.inf}, {"min_distance": 2000}, *({"frame": f} for f in frames)),
     ):
         sensing = NearSensing(LIDAR, standing())
-        sensing.on_obstacle_distance(obstacle_distance([500], **fields), NOW_S)
+        tell(sensing, obstacle_distance([500], **fields), NOW_S)
         assert (sensing.sweeps(), sensing.sight(NOW_S)) == ([], Sight.NEVER_HEARD), fields
 
 
@@ -118,12 +121,13 @@ def test_sweeps_are_of_their_time_and_no_more_than_thirty_a_second() -> None:
         (at_125_hz, at_125_hz, range(0, 20, 4)),  # told again at once it is one sweep
         ((0.0, 1.795e9, 15.0), (10.0, 10.1, 10.2), range(3)),  # of another clock: counts as now
     ):
-        sensing = NearSensing(LIDAR, standing())
-        for stamp_s, now_s in zip(stamps_s, heard_s, strict=True):
-            message = obstacle_distance([500], time_usec=round(stamp_s * 1e6))
-            sensing.on_obstacle_distance(message, now_s)
+        told = [obstacle_distance([500], time_usec=round(stamp_s * 1e6)) for stamp_s in stamps_s]
+        sweeps = swept(LIDAR, *zip(told, heard_s, strict=True))
         expected = [heard_s[number] for number in taken]
-        assert [sweep.time_s for sweep in sensing.sweeps()] == pytest.approx(expected)
+        assert [sweep.time_s for sweep in sweeps] == pytest.approx(expected)
+    still = [(beam(NOW_S - 0.05, cm), NOW_S + 0.15 * k) for k, cm in enumerate((700, 500, 400))]
+    sweeps = swept(BEHIND_AUTOPILOT, *still)  # sectors whose stamp stands still go on
+    assert [sweep.echo_m[0] for sweep in sweeps] == pytest.approx([7.0, 5.0])
 
 
 def test_a_measurement_waits_until_the_pose_of_its_time_is_known_which_is_not_guessed() -> None:
@@ -147,18 +151,11 @@ def test_a_measurement_waits_until_the_pose_of_its_time_is_known_which_is_not_gu
     assert known == {1.0: False, 2.1: True, 2.15: False, 2.2: False}  # or too far apart
 
 
-def test_sight_is_told_apart_from_a_sensor_that_is_dead_or_sees_nothing() -> None:
+def test_one_that_knows_nothing_in_any_direction_does_not_see() -> None:
     sensing = NearSensing(LIDAR, standing())
     for known, sight in ((0, Sight.NEVER_HEARD), (1, Sight.SEES)):
-        sensing.on_obstacle_distance(obstacle_distance([UNKNOWN] * (72 - known)), NOW_S)
+        tell(sensing, obstacle_distance([UNKNOWN] * (72 - known)), NOW_S)
         assert sensing.sight(NOW_S) is sight
-    sensing = NearSensing(BEHIND_AUTOPILOT, standing())
-    assert sensing.sight(NOW_S) is Sight.NEVER_HEARD
-    sensing.on_distance_sensor(beam(NOW_S - 0.1), NOW_S)
-    assert sensing.sight(NOW_S + 0.3) is Sight.SEES
-    for well, sight in ((True, Sight.NOTHING_THERE), (False, Sight.DEAD)):
-        sensing.on_health(health(well=well), NOW_S + 1.0)
-        assert sensing.sight(NOW_S + 1.5) is sight
 
 
 def test_a_beam_is_no_sector() -> None:
@@ -174,13 +171,6 @@ def test_a_beam_is_no_sector() -> None:
         fields = {"id": number, "horizontal_fov": math.radians(field_deg)}
         sensing.on_distance_sensor(beam(NOW_S - 0.05, source=(1, component), **fields), NOW_S)
         assert (sensing.sight(NOW_S) is Sight.SEES) == is_taken
-
-
-def test_sectors_whose_stamp_stands_still_go_on() -> None:
-    sensing = NearSensing(BEHIND_AUTOPILOT, standing())
-    for after_s, cm in ((0.0, 700), (0.15, 500), (0.3, 400)):
-        sensing.on_distance_sensor(beam(NOW_S - 0.05, cm), NOW_S + after_s)
-    assert [sweep.echo_m[0] for sweep in sensing.sweeps()] == pytest.approx([7.0, 5.0])
 
 
 def flown(

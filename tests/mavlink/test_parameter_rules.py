@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from held import FOUR, Firmware, Held, Kind
+from harness import Rig
+from held import FOUR, Way
 from hypothesis import given
 from hypothesis import strategies as st
 from planning import limits
@@ -20,13 +21,12 @@ from companion.path.envelope import flown_on_m
 from companion.world.near_map import NearSensor
 from vehicle_sim.autopilot.factory import personality_of
 from vehicle_sim.simulation import Simulation
-from vehicle_sim.world import read_world
+from vehicle_sim.world import VehicleKind, read_world
 
-Way = tuple[Firmware, Kind]
 Values = dict[str, float]
 COPTER, PLANE, QUAD, WING = FOUR
 TABLES = {way: each.rules for way, each in zip(FOUR, ALL, strict=True)}
-DEFAULTS = {way: dict(Held(*way).simulation.parameters) for way in FOUR}
+DEFAULTS = {way: dict(Rig(*way).simulation.parameters) for way in FOUR}
 SINKS = "COM_OBL_RC_ACT"
 """px4.md 6: without RC a PX4 sinks when the stream stops, by default; of 5 it holds."""
 USUAL = {way: DEFAULTS[way] | ({SINKS: 5.0} if way[0] == "px4" else {}) for way in FOUR}
@@ -41,7 +41,9 @@ VALUES |= {"climb_angle_rad": 0.12, "dive_angle_rad": 0.12}
 VALUES |= {"floor_amsl_m": 500.0, "ceiling_amsl_m": 660.0}
 
 
-def mission(kind: Kind = "copter", near: NearSensor | None = None, **changes: float) -> Mission:
+def mission(
+    kind: VehicleKind = "copter", near: NearSensor | None = None, **changes: float
+) -> Mission:
     """For a usual vehicle with the defaults of its autopilot."""
     of = load_mission(f"sitl-ardu{kind}")
     task = replace(of.task, limits=limits(**(VALUES | KINDS[kind] | changes)))
@@ -69,9 +71,7 @@ def test_the_bundled_missions_fit_the_vehicles_that_fly_them(name: str) -> None:
 
 
 @ALL_FOUR
-def test_each_rule_can_be_read_and_refuses_what_is_missing_only_if_it_is_essential(
-    way: Way,
-) -> None:
+def test_each_rule_can_be_read_and_essential_ones_refuse_what_is_missing(way: Way) -> None:
     names = [name for rule in TABLES[way] for name in rule.names]
     assert len(names) == len(set(names))
     assert all(0 < len(name) <= 16 and name.isascii() for name in names)

@@ -75,25 +75,36 @@ def test_a_further_sensor_is_one_class_and_one_row(monkeypatch: pytest.MonkeyPat
     assert flown(replace(MISSION, **{FIELD: None}))[1] == []
 
 
+def lidar(kind: str, component: int) -> Mission:
+    mission: Any = load_mission("forest")
+    near = replace(mission.near, kind=kind, component_id=component)
+    changed: Mission = replace(mission, near=near)
+    return changed
+
+
+RADAR = TerrainRadar, {(100, 134), (100, 136)}, {}
+FINDER = Rangefinder, {(1, 30), (1, 132)}, {30: 20.0, 132: 10.0}
+
+
 @pytest.mark.parametrize(
-    ("mission", "kinds"),
+    ("mission", "sensors_of"),
     [
-        (load_mission("forest"), [NearScanner]),
-        (MISSION, [TerrainRadar]),
-        (replace(MISSION, scanner_component_id=None), [TerrainRadar]),
-        (replace(MISSION, rangefinder_error_m=1.0), [TerrainRadar, Rangefinder]),
+        (lidar("obstacle_distance", 196), [(NearScanner, {(1, 30), (196, 330)}, {30: 20.0})]),
+        (lidar("distance_sensor", 158), [(NearScanner, {(1, 30), (158, 132), (1, 1)}, {30: 20.0})]),
+        (
+            lidar("distance_sensor", 1),
+            [(NearScanner, {(1, 30), (1, 132), (1, 1)}, {30: 20.0, 132: 20.0})],
+        ),
+        (MISSION, [RADAR]),
+        (replace(MISSION, scanner_component_id=None), [(TerrainRadar, set(), {})]),
+        (replace(MISSION, rangefinder_error_m=1.0), [RADAR, FINDER]),
     ],
 )
-def test_a_mission_has_one_scanner_and_the_sensors_that_it_names(
-    mission: Mission, kinds: list[type]
-) -> None:
+def test_a_mission_has_one_scanner_and_what_it_names(mission: Mission, sensors_of: Any) -> None:
+    """Each reads what it needs, poses too, and has the autopilot asked for its share of it."""
     poses = Poses(mission.frame)
     made = scanner_of(mission, poses), *others_of(mission, poses)
-    assert [type(each) for each in made] == kinds
-    for each in made:  # what needs poses reads them and asks for them
-        needs = poses.reads.keys() <= each.reads.keys()
-        assert poses.streams_hz.items() <= each.streams_hz.items() or not needs
-        assert needs or not poses.streams_hz.keys() & each.streams_hz.keys()
+    assert [(type(each), {*each.reads}, {**each.streams_hz}) for each in made] == sensors_of
 
 
 @pytest.mark.parametrize("kind", [*SENSORS.values(), NearScanner, TerrainRadar])

@@ -36,10 +36,8 @@ WORDS = [("abcdefghi " * 30)[: length - 1] + "x" for length in LENGTHS]
 @given(st.lists(st.tuples(st.text(max_size=400), st.booleans()), max_size=4))
 @example([(words, True) for words in WORDS])
 @example([(words, False) for words in WORDS])
-def test_what_is_said_comes_whole_in_ascii_on_one_line_in_as_few_chunks_as_it_takes(
-    said: list[tuple[str, bool]],
-) -> None:
-    """As far as a warning may be long; what is no warning is one message."""
+def test_what_is_said_comes_whole_in_ascii_in_few_chunks(said: list[tuple[str, bool]]) -> None:
+    """On one line, as far as a warning may be long; what is no warning is one message."""
     texts, numbers = StatusTexts(), list[int]()
     for at_s, (text, warning) in enumerate(said):
         texts.add(text, 10.0 * at_s, warning=warning)

@@ -1,4 +1,4 @@
-"""Parameters, mission, fence and rally points: messages, recorded flights, changes in flight."""
+"""Parameters, mission, fence and rally points, message by message (all: test_autopilot_client)."""
 
 import itertools
 import math
@@ -15,6 +15,7 @@ from wires import heard
 from companion.mavlink.dialect import wire
 from companion.mavlink.parameter_client import ParameterClient, decoded, encoded
 from companion.mavlink.plan_client import FENCE, MISSION, RALLY, PlanClient
+from vehicle_sim.plans import PlanKind
 
 OURS, PERSON = (1, 195), (255, 190)
 READ, LIST = "PARAM_REQUEST_READ", "MISSION_REQUEST_LIST"
@@ -53,41 +54,19 @@ def test_numbers_survive_the_wire(data: st.DataObject, kind: int, bytewise: bool
     assert decoded(message, bytewise=bytewise) == value
 
 
-def test_a_parameter_error_says_at_once_that_there_is_none() -> None:
-    client = ParameterClient(1, [("A",), ("B",)])
-    client.on_time(0.0)
+def test_a_parameter_is_what_the_autopilot_says_by_any_of_its_names_or_there_is_none() -> None:
+    client = ParameterClient(1, [("MAV_SYSID", "SYSID_THISMAV"), ("A",), ("B",)])
+    assert len(asked(client.on_time(0.0))) == 4
+    for source in ((2, 1), (1, 100), PERSON, (1, 1)):
+        assert client.values == {}
+        assert client.on_message(told("SYSID_THISMAV", 1.0, 4, source), 0.1) == []
+    assert (client.values, client.waiting) == ({"SYSID_THISMAV": 1.0}, ("A", "B"))
     missing, read_only = wire.MAV_PARAM_ERROR_DOES_NOT_EXIST, wire.MAV_PARAM_ERROR_READ_ONLY
     for name, why in ((b"A", missing), (b"B", read_only)):
         client.on_message(heard("PARAM_ERROR", param_id=name, error=why), 0.1)
         assert client.waiting == ("B",)
-
-
-@pytest.mark.parametrize("source", [(2, 1), (1, 100), PERSON, (1, 1)])
-def test_only_the_autopilot_tells_and_one_of_two_names_is_enough(source: tuple[int, int]) -> None:
-    client = ParameterClient(1, [("MAV_SYSID", "SYSID_THISMAV")])
-    assert asked(client.on_time(0.0)) == [(READ, "MAV_SYSID"), (READ, "SYSID_THISMAV")]
-    assert client.on_message(told("SYSID_THISMAV", 1.0, 4, source), 0.1) == []
-    assert client.values == ({"SYSID_THISMAV": 1.0} if source == (1, 1) else {})
-    assert client.is_done == (source == (1, 1))
-    if client.is_done:
-        client.set("SYSID_THISMAV", 5e12)
-        assert client.failed_sets == {"SYSID_THISMAV": "5e+12 does not fit into its type"}
-
-
-def test_a_value_that_comes_late_counts_and_after_a_reboot_all_are_asked_for() -> None:
-    client = ParameterClient(1, [("A",), ("B",)])
-    client.on_message(told("B", 1.0), 0.0)
-    for step in range(100):
-        client.on_time(0.1 * step)
-        client.on_message(told("OTHER", 1.0), 0.1 * step + 0.05)
-    assert client.is_done
-    version = client.version
-    client.on_message(told("A", 5.0), 20.0)
-    client.on_message(told("B", 7.0), 21.0)  # somebody else has set it
-    assert (client.values, client.version) == ({"A": 5.0, "B": 7.0}, version + 2)
-    client.restart()
-    assert (client.is_done, client.values) == (False, {})
-    assert asked(client.on_time(22.0)) == [(READ, "A"), (READ, "B")]
+    client.set("SYSID_THISMAV", 5e12)
+    assert client.failed_sets == {"SYSID_THISMAV": "5e+12 does not fit into its type"}
 
 
 # --- lists
@@ -98,16 +77,16 @@ def test_looks_leave_the_autopilot_idle_for_the_others(firmware: Any) -> None:
     """A ground station on the same link may upload right after each of our looks."""
     held = Held(firmware)
     held.client = PlanClient(1)
-    held.draw(FENCE, *polygon(12))
-    held.draw(MISSION, *waypoints(10))
+    held.plan(PlanKind.FENCE, *polygon(12))
+    held.plan(PlanKind.MISSION, *waypoints(10))
     held.run(30.0)
     looks = len(held.sent)
-    held.run(6.0, lambda: len(held.sent) > looks)
+    held.until(lambda: len(held.sent) > looks, 6.0)
     held.run(0.3)
     begun = len(held.heard)
-    held.other(wire.MAVLink_mission_count_message(1, 1, 1, FENCE))
+    held.send(wire.MAVLink_mission_count_message(1, 1, 1, FENCE), source=PERSON)
     held.run(0.05)
-    requests = [each for each in held.heard[begun:] if "MISSION_REQUEST" in each.get_type()]
+    requests = [each.message for each in held.heard[begun:] if "MISSION_REQUEST" in each.kind]
     assert [(each.target_system, each.target_component) for each in requests] == [PERSON]
 
 
@@ -163,19 +142,17 @@ def test_the_transfers_of_others_are_none_of_ours() -> None:
     assert radii(client) == [50.0]
 
 
-@pytest.mark.parametrize("is_supported", [True, False])
-def test_what_is_not_supported_is_done_and_denied_asked_again(is_supported: bool) -> None:
-    """Denied: somebody else is uploading."""
-    client, answer = begun(), "DENIED" if is_supported else "UNSUPPORTED"
+@pytest.mark.parametrize(
+    ("answer", "waiting"),
+    [("UNSUPPORTED", ()), ("DENIED", ("fence (somebody else is transferring it)",))],
+)
+def test_what_is_not_supported_is_done_and_denied_asked_again(answer: str, waiting: Any) -> None:
     result = getattr(wire, f"MAV_MISSION_{answer}")
     refused = heard("MISSION_ACK", type=result, **to(OURS, FENCE))
-    assert asked(client.on_message(refused, 0.1)) == [(LIST, RALLY)]
-    for kind in (RALLY, MISSION):
-        client.on_message(count(0, kind), 0.2)
-    waiting = ("fence (somebody else is transferring it)",) if is_supported else ()
-    assert (client.plans[FENCE].supported, client.waiting) == (is_supported, waiting)
-    assert client.is_done is not is_supported
-    if not is_supported:
+    client = begun(refused, count(0, RALLY), count(0, MISSION))
+    assert (client.waiting, client.is_done) == (waiting, not waiting)
+    assert client.plans[FENCE].supported is bool(waiting)
+    if not waiting:
         client.refresh()  # after a reboot
     again = [each for tenth in range(30) for each in asked(client.on_time(0.1 * tenth))]
     assert again[0] == (LIST, FENCE)
