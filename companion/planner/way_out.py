@@ -258,6 +258,7 @@ class _Pieces:
             ends += self._along(places_ne_m[way[::-1]], float(left_m[goal]))
         if self._climbs and goals:
             ends += self._higher(places_ne_m[free])
+        if self._climbs and ends:  # of a single place there are none
             ends = self._cheapest_first(ends, strays=strays)
         return sorted(ends, key=lambda end: self._is_seen(end.place_nea_m))
 

@@ -12,6 +12,7 @@ from dataclasses import replace
 from functools import cache
 from itertools import count
 from pathlib import Path
+from typing import final
 
 import numpy as np
 import pytest
@@ -193,6 +194,26 @@ def test_a_straight_way_out_ends_before_a_radar_sees_it_where_it_can() -> None:
     assert 6.0 < math.dist(ends_at, radar.centre_nea_m) < 8.0
     # the way there takes another such piece, and a stop before it
     assert found[1] >= searches.prices.price_m(found[0]) + task.stop_m
+
+
+@final
+class Steep(Prices):
+    """Where each metre nearer to the target leaves twenty less to fly."""
+
+    def to_go_m(self, places_nea_m: FloatArray) -> FloatArray:
+        return 20.0 * np.hypot(places_nea_m[..., 0] - 12.0, places_nea_m[..., 1])
+
+
+def test_who_is_shut_in_about_one_place_is_told_that_there_is_no_way_out() -> None:
+    """Where the only free point is the one beside it: no piece is long enough to be flown."""
+    task, here, target = mission_task(1.0, 60), (-0.2, 0.0, ALTITUDE_M), (12.0, 0.0)
+    upper_m = np.full((2 * HALF, 2 * HALF), TOP_M)
+    upper_m[HALF - 4 : HALF + 5, HALF - 4 : HALF + 5] = GROUND_M
+    known = map_of(upper_m, upper_m > 0.0)
+    request = ask(task, known, here, target_ne_m=target)
+    searches = Searches(request, lambda: False)
+    searches.prices = Steep(task, cost_to_go(known, task, here[:2], target))
+    assert way_out(request, searches, looks=False, strays=False) is None
 
 
 def test_in_flight_a_leg_is_planned_as_slowly_as_it_is_entered() -> None:
