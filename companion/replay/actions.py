@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 from msgspec.structs import asdict
 
-from companion.config import load_mission
+from companion.config import load_mission, mission_text
 from companion.errors import FlightFailed, InputError
 from companion.mavlink.link import Output
 from companion.mission.mission import Mission
@@ -20,7 +20,9 @@ from companion.replay.shadow_report import renderables
 from companion.replay.what_if import what_if, what_if_table, with_changes
 from companion.runtime.compiler import load_kernel
 from companion.runtime.loop import prompt_threads
-from companion.sources.files import file_of_run, writing
+from companion.sources.files import file_of_run, toml_table, with_settings, writing
+from companion.sources.mission_file import MissionTable, task_of
+from companion.sources.tables import validated
 from companion.views.output import plain_console, table_console
 
 _SHOWN_EVERY = 200  # inputs: to show one costs more than most of them
@@ -101,10 +103,12 @@ def changed(
 
 def _refuse_idle(folder: Path, profile: str | None, settings: list[str], other: Mission) -> None:
     """InputError about a setting without which each subpath would be planned alike."""
+    file = str(folder / "mission.toml")
+    table = toml_table(mission_text(file), file)
     for index, setting in enumerate(settings):
-        rest = settings[:index] + settings[index + 1 :]
+        rest = with_settings(table, settings[:index] + settings[index + 1 :])
         try:
-            without = load_mission(str(folder / "mission.toml"), profile, rest).task
+            without, _ = task_of(validated(MissionTable, rest), profile)
         except InputError:  # the others need it
             continue
         if with_changes(without, without, other.task) == without:
