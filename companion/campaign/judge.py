@@ -267,14 +267,13 @@ class _Case:
         # hold meanwhile
         yield "terrain", np.where(self.lands | (self.t_s < self.begun_s), np.inf, ground_m)
         for zone in task.zones:
-            gap_m = truth.keep_out_distance_m(points_nea_m, zone)
-            yield zone.name, -gap_m if zone.keep_in else gap_m
+            yield zone.name, truth.zone_clearance_m(points_nea_m, zone)
         for at_s, row, sets in self._brought("fence"):
             velocity_m_s = np.array([row["velocity_north_m_s"], row["velocity_east_m_s"]])
             ahead_s = sets["ahead_m"] / max(math.hypot(*velocity_m_s), 1e-6)
             n, e = ahead_s * velocity_m_s + (row["north_m"], row["east_m"])
             fence = CircleZone(name="new fence", north_m=n, east_m=e, radius_m=sets["radius_m"])
-            gap_m = truth.keep_out_distance_m(points_nea_m, fence)
+            gap_m = truth.zone_clearance_m(points_nea_m, fence)
             counts = self._could_leave(gap_m, at_s + _KNOWN_AFTER_S)
             yield fence.name, np.where(counts, gap_m, np.inf)
 
