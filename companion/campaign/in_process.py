@@ -10,7 +10,7 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from importlib.metadata import entry_points, version
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol, final
@@ -96,8 +96,8 @@ class Flight:
     journal: list[dict[str, Any]]
     truth: list[dict[str, Any]]
     """Where the vehicle really was."""
-    plans_s: list[float]
-    reported: FloatArray
+    plans_s: Sequence[float] = ()
+    reported: FloatArray = field(default_factory=lambda: np.empty((0, 5)))
     """Positions that the companion was told: when, of what time, north, east, altitude; (K, 5)."""
 
     def entries(self, **like: str) -> list[dict[str, Any]]:
@@ -179,14 +179,17 @@ class Flying:
 
     def flight(self) -> Flight:
         """What it left, once closed."""
-        folder = self._files.folder
-        return Flight(
-            mission=self._mission,
-            journal=_lines_with("kind", folder / "journal.jsonl"),
-            truth=_lines_with("t_s", folder / "truth.jsonl"),
-            plans_s=self.loop.flown.plans_s,
-            reported=np.array(self._reported).reshape(-1, 5),
-        )
+        flight = recorded(self._files.folder, self._mission)
+        reported = np.array(self._reported).reshape(-1, 5)
+        return replace(flight, plans_s=self.loop.flown.plans_s, reported=reported)
+
+
+def recorded(folder: Path, mission: Mission) -> Flight:
+    """The flight of a run folder with the truth in it; what no file tells is empty."""
+    journal = _lines_with("kind", folder / "journal.jsonl")
+    return Flight(
+        mission=mission, journal=journal, truth=_lines_with("t_s", folder / "truth.jsonl")
+    )
 
 
 def _lines_with(key: str, path: Path) -> list[dict[str, Any]]:

@@ -22,18 +22,19 @@ it may be on its way back for as long as it was on its way out.
 """
 
 import bisect
-import copy
 import math
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, Final, final
+from pathlib import Path
+from typing import Any, Final, cast, final
 
 import numpy as np
 
 from companion.campaign import truth
-from companion.campaign.drawn_world import DrawnWorld
-from companion.campaign.in_process import Flight, Happening, simulator
+from companion.campaign.drawn_world import DrawnWorld, of_files
+from companion.campaign.in_process import Flight, Happening, recorded, simulator
+from companion.config import load_mission
 from companion.geodesy import BoolArray, FloatArray
 from companion.library import route_terms
 from companion.mission.state import Phase, Reason
@@ -104,6 +105,17 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str,
     return columns | {"violations": count, "violated": "; ".join(known) or None}
 
 
+def verified(folder: Path, world: str | None = None) -> str | None:
+    """What a run folder with the truth in it violates, in words; None: nothing.
+
+    world: a file or a bundled name; None: the one that is called as the mission is.
+    """
+    file = str(folder / "mission.toml")
+    flight = recorded(folder, load_mission(file))
+    columns = judged(flight, of_files(world or flight.mission.name, file), timeline=None)
+    return cast("str | None", columns.get("violated", "it has never flown"))
+
+
 def _came_to(flight: Flight, drawn: DrawnWorld) -> dict[str, Any]:
     """How it ended, as the companion says."""
     end = [_NO_END, *flight.entries(kind="end")][-1]
@@ -149,15 +161,10 @@ class _Case:
         self.lands = np.array([row["mode"] in LANDS | RETURNS for row in rows], bool)
         """Whether it lands or returns by itself: the ground may be near then."""
         self.has_a_say = self._has_a_say(rows)
-        self.away_m = self._measured_m()
-
-    def _measured_m(self) -> FloatArray:
+        self.gaps_m = list(self._gaps_m(self.points_nea_m))
+        near_m = np.array([row.get("near_m", math.inf) for row in rows])
+        self.away_m = self.gaps_m[0][1] if self.gaps_m else np.where(self.lands, np.inf, near_m)
         """To the ground, or to the nearest of near things; (N,), infinite while it lands."""
-        away_m = np.array([row.get("near_m", math.inf) for row in self.rows])
-        if self.flight.mission.near is None and self.rows:
-            up_to_m = 2.0 * self.drawn.task.required_clearance_m
-            away_m = truth.terrain_distance_m(self.points_nea_m, self.drawn.terrain, up_to_m)
-        return np.where(self.lands, np.inf, away_m)
 
     def _has_a_say(self, rows: Sequence[dict[str, Any]]) -> BoolArray:
         """Whether the mode is guided, or the one that the companion asked for last; (N,).
@@ -212,14 +219,13 @@ class _Case:
 
         Among near things never: how far it believed to be from them no truth tells.
         """
-        believed = copy.copy(self)
-        believed.points_nea_m = _points([row.get("believed", row) for row in self.rows])
-        off_m = np.linalg.norm(believed.points_nea_m - self.points_nea_m, axis=-1)
+        believed_nea_m = _points([row.get("believed", row) for row in self.rows])
+        off_m = np.linalg.norm(believed_nea_m - self.points_nea_m, axis=-1)
         is_off = off_m > self.drawn.task.limits.navigation_error_m
-        if self.flight.mission.near is not None or not is_off.any():
+        if not self.gaps_m or not is_off.any():
             return np.zeros_like(is_off)
-        believed.away_m = believed._measured_m()
-        is_clear = np.min([gap_m for _, gap_m in believed._gaps_m()], axis=0) >= self.least_m
+        believed_m = [gap_m for _, gap_m in self._gaps_m(believed_nea_m)]
+        is_clear = np.min(believed_m, axis=0) >= self.least_m
         return np.where(is_off, is_clear, self._lately(is_off & is_clear))
 
     def _lately(self, is_so: BoolArray) -> BoolArray:
@@ -241,28 +247,34 @@ class _Case:
 
     def too_near(self, is_excused: BoolArray) -> Iterator[tuple[str, int]]:
         """What lay nearer than d_s, once of what counts and once of what is excused."""
-        for what, gap_m in self._gaps_m():
+        for what, gap_m in self.gaps_m:
             bad = gap_m < self.least_m
             for where in (bad & ~is_excused, bad & is_excused):
                 if where.any():
                     at = int(np.argmax(where))
                     yield f"{what} {gap_m[where].min():.1f} m from {self.t_s[at]:.1f} s", at
 
-    def _gaps_m(self) -> Iterator[tuple[str, FloatArray]]:
-        """True distances that must be d_s or more, (N,); infinite where they do not count."""
-        if self.flight.mission.near is not None or not len(self.t_s):
+    def _gaps_m(self, points_nea_m: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+        """Distances of places that must be d_s or more, the ground's first; (N, 3) -> (N,) each.
+
+        Infinite where they do not count; among near things none does.
+        """
+        if self.flight.mission.near is not None or not len(points_nea_m):
             return
-        # before that it climbs out from where it stood, also when it goes on after a hold meanwhile
-        yield "terrain", np.where(self.t_s < self.begun_s, np.inf, self.away_m)
-        for zone in self.drawn.task.zones:
-            gap_m = truth.keep_out_distance_m(self.points_nea_m, zone)
-            yield zone.name, -gap_m if zone.keep_in else gap_m
+        task = self.drawn.task
+        up_to_m = 2.0 * task.required_clearance_m
+        ground_m = truth.terrain_distance_m(points_nea_m, self.drawn.terrain, up_to_m)
+        # until its first subpath it climbs out from where it stood, also when it goes on after a
+        # hold meanwhile
+        yield "terrain", np.where(self.lands | (self.t_s < self.begun_s), np.inf, ground_m)
+        for zone in task.zones:
+            yield zone.name, truth.zone_clearance_m(points_nea_m, zone)
         for at_s, row, sets in self._brought("fence"):
             velocity_m_s = np.array([row["velocity_north_m_s"], row["velocity_east_m_s"]])
             ahead_s = sets["ahead_m"] / max(math.hypot(*velocity_m_s), 1e-6)
             n, e = ahead_s * velocity_m_s + (row["north_m"], row["east_m"])
             fence = CircleZone(name="new fence", north_m=n, east_m=e, radius_m=sets["radius_m"])
-            gap_m = truth.keep_out_distance_m(self.points_nea_m, fence)
+            gap_m = truth.zone_clearance_m(points_nea_m, fence)
             counts = self._could_leave(gap_m, at_s + _KNOWN_AFTER_S)
             yield fence.name, np.where(counts, gap_m, np.inf)
 

@@ -218,14 +218,19 @@ def _peak_distance_m(peak: Peak, points_nea_m: FloatArray, up_to_m: float) -> Fl
 # --- bounds
 
 
-def keep_out_distance_m(points_nea_m: FloatArray, zone: Zone) -> FloatArray:
-    """Horizontal distance to the edge of a zone, negative inside.  (S, 3) -> (S,)."""
+def zone_clearance_m(points_nea_m: FloatArray, zone: Zone) -> FloatArray:
+    """Horizontal distance to what a zone bars, of a keep-in all around it; negative in there.
+
+    (S, 3) -> (S,).
+    """
     at = points_nea_m[:, :2]
     if isinstance(zone, CircleZone):
-        return np.linalg.norm(at - (zone.north_m, zone.east_m), axis=-1) - zone.radius_m
-    area, points = shapely.Polygon(zone.vertices_ne_m), shapely.points(at)
-    away_m = np.asarray(shapely.distance(points, area.exterior), dtype=np.float64)
-    return np.where(shapely.contains(area, points), -away_m, away_m)
+        outside_m = np.linalg.norm(at - (zone.north_m, zone.east_m), axis=-1) - zone.radius_m
+    else:
+        area, points = shapely.Polygon(zone.vertices_ne_m), shapely.points(at)
+        away_m = np.asarray(shapely.distance(points, area.exterior), dtype=np.float64)
+        outside_m = np.where(shapely.contains(area, points), -away_m, away_m)
+    return -outside_m if zone.keep_in else outside_m
 
 
 class Measures(NamedTuple):
@@ -233,7 +238,7 @@ class Measures(NamedTuple):
 
     clearance_m: float
     """True distance to the terrain; at most twice what is required."""
-    keep_out_m: float
+    zones_m: float
     turn_radius_m: float
     climb_rad: float
     dive_rad: float
@@ -247,7 +252,7 @@ class Measures(NamedTuple):
         inset, little = task.error_m, 1e-6
         bounds = (
             ("terrain clearance", self.clearance_m >= required_m - 0.01),
-            ("keep-out zone", self.keep_out_m >= required_m - 0.01),
+            ("keep-out zone", self.zones_m >= required_m - 0.01),
             ("turn radius", self.turn_radius_m >= limits.turn_radius_m * (1.0 - little)),
             ("climb angle", self.climb_rad <= limits.climb_angle_rad + little),
             ("dive angle", self.dive_rad <= limits.dive_angle_rad + little),
@@ -265,10 +270,10 @@ def measure(curve: Curve, terrain: PeakTerrain | ArrayTerrain, task: Task) -> Me
     low, high = points.min(axis=0), points.max(axis=0)
     least, most = np.transpose((limits.north_m, limits.east_m))
     clearance = terrain_distance_m(points, terrain, 2.0 * task.required_clearance_m)
-    aside = [float(keep_out_distance_m(points, zone).min()) for zone in task.zones]
+    aside = [float(zone_clearance_m(points, zone).min()) for zone in task.zones]
     return Measures(
         clearance_m=float(clearance.min()),
-        keep_out_m=min(aside, default=math.inf),
+        zones_m=min(aside, default=math.inf),
         turn_radius_m=float(1.0 / max(np.abs(curve.curvature_1_m).max(), 1e-9)),
         climb_rad=float(climb_rad.max()),
         dive_rad=float(-climb_rad.min()),

@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 from msgspec.structs import asdict
 
-from companion.config import load_mission
+from companion.config import MissionFile, load_mission, read_mission
 from companion.errors import FlightFailed, InputError
 from companion.mavlink.link import Output
 from companion.mission.mission import Mission
@@ -88,8 +88,9 @@ def changed(
         rule = "a log does not hold the states to plan from"
         raise InputError("RUN_DIR|LOG", str(folder), rule, "Give the run folder of the flight.")
     plans, flown = [], flown_mission(folder)
-    other = load_mission(str(folder / "mission.toml"), profile, settings)
-    _refuse_idle(folder, profile, settings, other)
+    file = read_mission(str(folder / "mission.toml"))
+    other = file.mission(profile, settings)
+    _refuse_idle(file, profile, settings, other)
     _load_planner()
     with plain_console(stderr=True).status("planning again") as status:
         for replanned in what_if(folder, flown, other, seed=seed):
@@ -99,12 +100,13 @@ def changed(
     _write(plans, json_file)
 
 
-def _refuse_idle(folder: Path, profile: str | None, settings: list[str], other: Mission) -> None:
+def _refuse_idle(
+    file: MissionFile, profile: str | None, settings: list[str], other: Mission
+) -> None:
     """InputError about a setting without which each subpath would be planned alike."""
     for index, setting in enumerate(settings):
-        rest = settings[:index] + settings[index + 1 :]
         try:
-            without = load_mission(str(folder / "mission.toml"), profile, rest).task
+            without = file.mission(profile, settings[:index] + settings[index + 1 :]).task
         except InputError:  # the others need it
             continue
         if with_changes(without, without, other.task) == without:

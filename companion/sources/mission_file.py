@@ -404,10 +404,7 @@ def mission_of(model: MissionTable, profile: str | None, notes: tuple[str, ...] 
     Raises InputError for the first rule about the planner, a place or another file that is broken.
     """
     targets, frame = model.targets or [], LocalFrame(**dict(model.origin))
-    task, slower = _task(model, frame, profile)
-    rules.refuse(rules.of_task(task))
-    zones, far = zones_of(model.keep_outs, model.keep_ins, task, frame)
-    task = replace(task, zones=zones)
+    task, of_task = task_of(model, profile)
     places = list[Place]()
     for number, target in enumerate(targets):
         places.append(target.place(frame, _field(number, target)))
@@ -434,7 +431,7 @@ def mission_of(model: MissionTable, profile: str | None, notes: tuple[str, ...] 
             point.place(frame, f"rally_points[{index}]")
             for index, point in enumerate(model.rally_points)
         ),
-        notes=tuple(filter(None, (*notes, slower, far, stated))),
+        notes=tuple(filter(None, (*notes, *of_task, stated))),
         **as_written,
     )
     return replace(mission, notes=(*mission.notes, *_about_altitudes(mission, targets)))
@@ -445,9 +442,10 @@ def _field(number: int, target: TargetTable) -> str:
     return f"targets[{number}]" + (f" ({target.name})" if target.name else "")
 
 
-def _task(model: MissionTable, frame: LocalFrame, profile: str | None) -> tuple[Task, str]:
-    """The task, but for zones, and that it is flown more slowly than is asked for, if it is."""
+def task_of(model: MissionTable, profile: str | None) -> tuple[Task, tuple[str, str]]:
+    """The task that a checked table means, and notes on it or "".  Raises as `mission_of`."""
     vehicle, planner, terrain = model.vehicle, model.planner, model.terrain
+    frame = LocalFrame(**dict(model.origin))
     north_m, east_m = model.area.sides_m
     limits = Limits(
         north_m=north_m, east_m=east_m, **vehicle.of(Limits), **model.altitude.of(Limits)
@@ -483,7 +481,9 @@ def _task(model: MissionTable, frame: LocalFrame, profile: str | None) -> tuple[
     if (flown_m_s := task.limits.speed_m_s) < (asked_m_s := limits.speed_m_s):
         slower = f"R = {settings.scan_range_m:g} m is too short for V = {asked_m_s:g} m/s (eq. 4): "
         slower += f"it is flown at {flown_m_s:g} m/s; raise planner.scan_range_m to fly faster"
-    return task, slower
+    rules.refuse(rules.of_task(task))
+    zones, far = zones_of(model.keep_outs, model.keep_ins, task, frame)
+    return replace(task, zones=zones), (slower, far)
 
 
 def _known_map(model: MissionTable, task: Task, frame: LocalFrame) -> KnownMap | None:

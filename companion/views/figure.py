@@ -45,6 +45,7 @@ _TINTS = LinearSegmentedColormap.from_list(
     "heights", ["#fbf8ef", "#e9dfc3", "#cdb78c", "#a98d60", "#7d6542", "#55432a"]
 )  # darker is higher: readable whatever colours the reader sees
 PATH, _RADAR, _KEEP_OUT, _UNKNOWN = "#0050b5", "#c2389b", "#e8590c", "#c9ccd1"
+_KEEP_IN = "#787878"
 _Style = dict[str, Any]
 _HALO = [withStroke(linewidth=4.6, foreground="white")]
 _LINE: _Style = {"color": PATH, "lw": 2.4, "path_effects": _HALO, "label": "planned path"}
@@ -60,6 +61,8 @@ _NAME: _Style = {"fontsize": 7, "ha": "center", "va": "center", "color": "#5c0f4
 _NAME |= {"clip_on": True, "parse_math": False}
 _SEEN: _Style = {"fc": to_rgba(_RADAR, 0.28), "ec": _RADAR, "label": "radar, within the band"}
 _BARRED: _Style = {"fc": to_rgba(_KEEP_OUT, 0.3), "ec": _KEEP_OUT, "hatch": "xx", "lw": 1.5}
+_BARRED |= {"label": "keep-out"}
+_ALLOWED: _Style = {"fc": "none", "ec": _KEEP_IN, "lw": 1.5, "label": "keep-in"}
 
 
 @final
@@ -180,7 +183,7 @@ def add_legend(
 
 
 def draw_plan(axes: Axes, figure: FlightFigure) -> None:
-    """From above: terrain, radars as wide as they see within the band, keep-outs and the path."""
+    """From above: terrain, radars as wide as they see within the band, zones and the path."""
     (north, east), (low, high) = figure.edges_m, figure.altitudes_m
     heights = np.ma.masked_invalid(shapes.heights_m(figure.known))
     span: _Style = {"vmin": low, "vmax": high, "cmap": _TINTS, "rasterized": True}
@@ -206,7 +209,8 @@ def draw_plan(axes: Axes, figure: FlightFigure) -> None:
         axes.add_patch(Circle((east_m, north_m), within_m, **_SEEN))
         axes.text(east_m, north_m, radar.name, **_NAME)
     for zone in figure.zones:
-        axes.add_patch(Polygon(shapes.outline_ne_m(zone)[:, ::-1], label="keep-out", **_BARRED))
+        style = _ALLOWED if zone.keep_in else _BARRED
+        axes.add_patch(Polygon(shapes.outline_ne_m(zone)[:, ::-1], **style))
     for points_nea_m, style in figure.lines + figure.marks:
         axes.plot(points_nea_m[:, 1], points_nea_m[:, 0], **style)
     axes.set(xlim=east[[0, -1]], ylim=north[[0, -1]], aspect="equal", title="Plan")
@@ -247,7 +251,7 @@ def draw_profile(axes: Axes, figure: FlightFigure) -> None:
 
 
 def draw_oblique(axes: Any, figure: FlightFigure) -> None:
-    """Terrain, radars and keep-outs as surfaces, and the path over them, wherever it is hidden."""
+    """Terrain, radars and zones as surfaces, and the path over them, wherever it is hidden."""
     low, high = figure.altitudes_m
     (south, *_, north_m), (west, *_, east_m) = figure.edges_m
     least, most = np.array([west, south, low]), np.array([east_m, north_m, high])
@@ -269,7 +273,8 @@ def draw_oblique(axes: Any, figure: FlightFigure) -> None:
     axes.plot_surface(*place, facecolors=colours, shade=False, antialiased=False, **surface)
     band_m = (low, high)
     threats = [(shapes.ball_nea_m(radar, band_m, 30), _RADAR) for radar in figure.task.radars]
-    threats += [(shapes.walls_nea_m(zone, band_m), _KEEP_OUT) for zone in figure.zones]
+    for zone in figure.zones:
+        threats.append((shapes.walls_nea_m(zone, band_m), _KEEP_IN if zone.keep_in else _KEEP_OUT))
     for grid, colour in threats:
         corners = np.clip(grid[..., [1, 0, 2]], least, most)
         axes.plot_surface(*np.moveaxis(corners, -1, 0), color=colour, alpha=0.22, **surface)

@@ -328,7 +328,7 @@ class Solver:
                 math.tan(measured.dive_rad) / math.tan(limits.dive_angle_rad),
             )
             bent, into = limits.turn_radius_m / measured.turn_radius_m, max(into, 0.0)
-            into = max(into, required_m - measured.keep_out_m)
+            into = max(into, required_m - measured.zones_m)
             margins = Margins(
                 clearance_m=margins.clearance_m + 1.6 * max(required_m - measured.clearance_m, 0.0),
                 radar_m=margins.radar_m + 1.2 * into,

@@ -1,5 +1,6 @@
 """What is drawn to go wrong, and how flights with it are judged."""
 
+import json
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -211,6 +212,22 @@ def test_a_way_back_may_be_flown_for_as_long_as_the_way_out_was(cut_s: float, en
     row = judge.judged(flown, DRAWN, WIND)
     assert (row["ending"], row["violations"]) == (ending, int(cut_s == 11))
     assert row["reason"] == ("no way" if cut_s == 9 else "returning: ")
+
+
+@pytest.mark.parametrize(
+    ("places", "words"),
+    [(CLEAR, None), (NEAR, f"{DRAWN.task.zones[0].name} -0.0 m from"), ([], "never flown")],
+)
+def test_a_run_folder_with_the_truth_in_it_is_judged_alike(
+    places: Places, words: str | None, tmp_path: Path
+) -> None:
+    flown, (world, _) = flight([*places, TARGET]), drawn_world.write(DRAWN, tmp_path)
+    truth = flown.truth if places else []
+    for name, lines in {"journal": flown.journal, "truth": truth}.items():
+        text = "\n".join(map(json.dumps, lines))
+        (tmp_path / f"{name}.jsonl").write_text(text, encoding="utf-8")
+    found = judge.verified(tmp_path, str(world))
+    assert found == words if words is None else words in str(found)
 
 
 def test_what_was_planned_before_an_excuse_is_checked_whole() -> None:

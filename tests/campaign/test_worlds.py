@@ -46,7 +46,7 @@ def test_every_world_has_a_way_by_an_independent_search(family: str) -> None:
         free &= np.hypot(np.hypot(north - n, east - e), floor_m - z) > radar.range_m
     places = np.stack([north.ravel(), east.ravel(), 0.0 * north.ravel()], axis=-1)
     for zone in task.zones:
-        free &= truth.keep_out_distance_m(places, zone).reshape(free.shape) > away_m
+        free &= truth.zone_clearance_m(places, zone).reshape(free.shape) > away_m
     pools, _ = label(free)
     start, target = (
         pools[tuple(int(np.argmin(np.abs(a - p))) for a, p in zip(axes, end, strict=True))]

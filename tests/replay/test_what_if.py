@@ -3,13 +3,16 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from answers import answered
 from golden import GOLDENS
 
+from companion import config
 from companion.config import load_mission
 from companion.replay.what_if import what_if, with_changes
+from companion.sources.files import read_text
 from companion.world.zones import CircleZone
 
 FLIGHT = GOLDENS / "copter-loses-gps"
@@ -69,3 +72,16 @@ def test_the_command_refuses_a_setting_that_no_mission_may_have_or_that_does_not
         code, _, said = answered("replay", FLIGHT, "--set", setting)
         assert (code, said.count("\n")) == (2, 1)
         assert words in said
+
+
+def test_the_mission_is_read_as_often_for_many_settings_as_for_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    idle, reads = "terrain.highest_amsl_m=900", list[int]()
+    for settings in ([idle], ["vehicle.speed_m_s=100", "planner.safety_distance_m=200", idle]):
+        read = Mock(wraps=read_text)
+        monkeypatch.setattr(config, "read_text", read)
+        _, _, said = answered("replay", FLIGHT, *(f"--set={setting}" for setting in settings))
+        assert idle in said
+        reads.append(read.call_count)
+    assert reads[0] == reads[1] > 0

@@ -231,8 +231,9 @@ def test_the_plan_shows_the_path_in_kilometres_and_radars_as_wide_as_within_the_
     for radar in pictured.task.radars:
         above_m = max(pictured.band_m[0] - radar.centre_nea_m[2], 0.0)
         assert math.sqrt(radar.range_m**2 - above_m**2) in map(pytest.approx, radii_m)
-    # two keep-outs, and what is outside the keep-in
-    assert sum(patch.get_label() == "keep-out" for patch in plan.patches) == 3
+    filled = [(patch.get_label(), patch.get_facecolor()[3] > 0.0) for patch in plan.patches]
+    assert filled.count(("keep-out", True)) == 2
+    assert filled.count(("keep-in", False)) == 1
 
 
 def test_the_profile_shows_the_terrain_under_the_path_and_both_paths_over_it(

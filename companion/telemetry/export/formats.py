@@ -185,11 +185,8 @@ def _name(feature: Feature) -> str:
     facts = feature.facts
     match feature.kind:
         case "subpath":
-            return (
-                f"{feature.name}, leg {facts['leg']}"
-                if facts["leg"]
-                else f"{feature.name}, not flown"
-            )
+            flown = f"leg {facts['leg']}" if facts["leg"] else "not flown"
+            return f"{feature.name}, {flown}"
         case "event":
             return f"{facts['what']}: {facts['why']}"
         case _:
