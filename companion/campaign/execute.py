@@ -26,9 +26,8 @@ def fly(runs: Sequence[Run], out: Path, scheduler: str | None, jobs: int) -> Gen
 
     OSError: there is no room for a folder.  InputError: no scheduler answers there.
     """
-    with closing(
-        worked(partial(fly_run, out=out), runs, scheduler=scheduler, jobs=jobs)
-    ) as results:
+    flying = worked(partial(fly_run, out=out), runs, scheduler=scheduler, jobs=jobs)
+    with closing(flying) as results:
         for number, row in results:
             if isinstance(row, OSError) and row.errno is not None:
                 raise row  # no room for its folder: no result of the run

@@ -27,7 +27,7 @@ from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final, cast, final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -113,7 +113,8 @@ def verified(folder: Path, world: str | None = None) -> str | None:
     file = str(folder / "mission.toml")
     flight = recorded(folder, load_mission(file))
     columns = judged(flight, of_files(world or flight.mission.name, file), timeline=None)
-    return cast("str | None", columns.get("violated", "it has never flown"))
+    found: str | None = columns.get("violated", "it has never flown")
+    return found
 
 
 def _came_to(flight: Flight, drawn: DrawnWorld) -> dict[str, Any]:

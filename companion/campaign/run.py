@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +25,6 @@ from companion.campaign.in_process import FlightFiles, Flying, fly_here, simulat
 from companion.campaign.store import Row
 from companion.config import load_world, read_mission, world_table
 from companion.errors import InputError
-from companion.geodesy import FloatArray
 from companion.optimise.registry import OPTIMISERS
 from companion.planner.offline import OfflineFlight, TerrainRadar, fly_offline
 from companion.planner.request import PlanOutcome, PlanRequest
@@ -98,22 +97,14 @@ def _flown(run: Run, folder: Path) -> Row:
 # --- the planner alone
 
 
-class AloneFlight(NamedTuple):
-    """What the planner, ours or a rival, flew through a world without a vehicle."""
-
-    whole: OfflineFlight
-    points_nea_m: FloatArray
-    """(S, 3), from the start as far as it came."""
-    plan_s: list[float]
-    """Processor time of each plan."""
-    why: str
-    """Why it did not arrive; empty if it did."""
-
-
 def fly_alone(
     world: DrawnWorld, planner: str = OURS, *, knowledge: Knowledge = "scans", seed: int = 1
-) -> AloneFlight:
-    """Fly a world's mission; with full knowledge all of the ground is on the map before it."""
+) -> tuple[OfflineFlight, list[float]]:
+    """Fly a world's mission with a planner, ours or a rival, and without a vehicle.
+
+    -> what was flown, and the processor time of each plan.  With full knowledge all of the ground
+    is on the map before it.
+    """
     task, plan_s, plan = world.task, list[float](), planner_of(planner)
     blank, range_m = families.unseen(world), task.settings.scan_range_m
     if knowledge == "full":
@@ -136,8 +127,7 @@ def fly_alone(
         seed=seed,
         planner=timed,
     )
-    points = flight.route_nea_m(range_m / _POINTS_PER_RANGE)
-    return AloneFlight(flight, points, plan_s, flight.failure.why if flight.failure else "")
+    return flight, plan_s
 
 
 def _planned(run: Run, folder: Path) -> Row:
@@ -149,17 +139,19 @@ def _planned(run: Run, folder: Path) -> Row:
     if run.keep != "none":
         _files(run, folder)
     planner, knowledge = run.factors.get("planner", OURS), run.factors.get("knowledge", "scans")
-    flown = fly_alone(drawn, planner, knowledge=knowledge, seed=run.seed)
-    columns = judge.of_task(drawn, flown.plan_s) | {
-        "outcome": "failed" if flown.why else "arrived",
-        "reason": flown.why or None,
-        "arrived": not flown.why,
-        "plans": len(flown.plan_s),
-        "holds": flown.whole.holds,
+    flight, plan_s = fly_alone(drawn, planner, knowledge=knowledge, seed=run.seed)
+    failure = flight.failure
+    columns = judge.of_task(drawn, plan_s) | {
+        "outcome": "failed" if failure else "arrived",
+        "reason": failure.why if failure else None,
+        "arrived": not failure,
+        "plans": len(plan_s),
+        "holds": flight.holds,
     }
-    subpaths = [(leg.subpath.control_nea_m, leg.speed_m_s) for leg in flown.whole.legs]
+    subpaths = [(leg.subpath.control_nea_m, leg.speed_m_s) for leg in flight.legs]
     if subpaths:
-        columns |= judge.of_track(flown.points_nea_m, drawn)
+        track_nea_m = flight.route_nea_m(settings.scan_range_m / _POINTS_PER_RANGE)
+        columns |= judge.of_track(track_nea_m, drawn)
     is_ours = planner == OURS
     bounds = None if is_ours else _OF_PLACES  # rivals turn on the spot
     return columns | judge.checked(subpaths, drawn, joined=is_ours, bounds=bounds)

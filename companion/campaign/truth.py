@@ -219,10 +219,7 @@ def _peak_distance_m(peak: Peak, points_nea_m: FloatArray, up_to_m: float) -> Fl
 
 
 def zone_clearance_m(points_nea_m: FloatArray, zone: Zone) -> FloatArray:
-    """Horizontal distance to what a zone bars, of a keep-in all around it; negative in there.
-
-    (S, 3) -> (S,).
-    """
+    """Signed horizontal distance to what a zone bars: of a keep-in, all around.  (S, 3) -> (S,)."""
     at = points_nea_m[:, :2]
     if isinstance(zone, CircleZone):
         outside_m = np.linalg.norm(at - (zone.north_m, zone.east_m), axis=-1) - zone.radius_m

@@ -168,10 +168,7 @@ class Page:
             flight = self._recording.flight
             heading_rad = flight.heading_rad(flight.row_at(self._time_s))
             ahead = np.array([math.sin(heading_rad), math.cos(heading_rad), 0.0])
-            place = (
-                self._aim - 11.0 * ahead + [0.0, 0.0, 5.5],
-                self._aim + 4.0 * ahead,
-            )
+            place = self._aim - 11.0 * ahead + [0.0, 0.0, 5.5], self._aim + 4.0 * ahead
         with client.atomic():
             client.camera.position, client.camera.look_at = place
 
@@ -206,10 +203,8 @@ class Page:
         elif self._plays:
             self._time_s = min(self._time_s + passed_s * self._speed, recording.ends_s)
         behind = self._show_ground(self._scene, now_s)
-        shown, charted = (
-            (self._time_s, self._map_shown, behind),
-            (recording.ends_s, self._map_shown),
-        )
+        shown = self._time_s, self._map_shown, behind
+        charted = recording.ends_s, self._map_shown
         if shown != self._shown:
             self._shown = shown
             self._show(self._scene, behind)

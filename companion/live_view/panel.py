@@ -30,6 +30,7 @@ _STYLE: Final = (
     ".fl .h{color:#667;margin-top:6px;font-weight:600}.fl .n{color:#667}"
     ".fl .s{color:#00705a}</style>"
 )
+_ROW: Final = "<tr><td>{}</td><td>{}</td></tr>"
 _EVENTS_BEFORE, _EVENTS_AFTER = 30, 10
 _LIST: Final = "div:has(>.ev)+div"  # the button group after it
 _LIST_STYLE: Final = (
@@ -123,10 +124,8 @@ def _line(kind: str, text: str) -> str:
 
 
 def _table(rows: dict[str, str]) -> str:
-    cells = (map(html.escape, row) for row in rows.items())
-    return (
-        f"<table>{''.join('<tr><td>{}</td><td>{}</td></tr>'.format(*row) for row in cells)}</table>"
-    )
+    lines = "".join(_ROW.format(*map(html.escape, row)) for row in rows.items())
+    return f"<table>{lines}</table>"
 
 
 def event_line(event: Event) -> str:

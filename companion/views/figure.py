@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, final
 
@@ -28,7 +28,6 @@ from companion.telemetry.flight import Flight, joined_nea_m
 from companion.telemetry.flight_summary import FlightSummary
 from companion.views.words import counted, metres
 from companion.world.known_map import KnownMap, empty_map
-from companion.world.zones import Zone
 
 DPI = 150
 _SIZE_IN = (14.0, 10.0)
@@ -71,7 +70,7 @@ class FlightFigure:
     """What is drawn of a flight: metres in the local frame, altitudes AMSL."""
 
     task: Task
-    """Its band of altitudes, radars and zones."""
+    """Its band of altitudes, radars and zones, the vehicle's own too."""
     known: KnownMap
     """The terrain, as far as it was seen or known in advance."""
     start_nea_m: tuple[float, float, float]
@@ -80,8 +79,6 @@ class FlightFigure:
     """The planned path in order as flown: each leg as far as its successor."""
     scans_nea_m: tuple[tuple[float, float, float], ...] = ()
     """Where scans were taken (p_scan)."""
-    vehicle_zones: tuple[Zone, ...] = ()
-    """The vehicle's own fence."""
     track_nea_m: FloatArray | None = None  # (N, 3)
     """Where the vehicle was."""
     title: str = ""
@@ -91,11 +88,6 @@ class FlightFigure:
     def band_m(self) -> tuple[float, float]:
         """Floor and ceiling."""
         return self.task.limits.floor_amsl_m, self.task.limits.ceiling_amsl_m
-
-    @property
-    def zones(self) -> tuple[Zone, ...]:
-        """All that are drawn."""
-        return (*self.task.zones, *self.vehicle_zones)
 
     @property
     def edges_m(self) -> tuple[FloatArray, FloatArray]:
@@ -208,7 +200,7 @@ def draw_plan(axes: Axes, figure: FlightFigure) -> None:
         within_m = math.sqrt(max(radar.range_m**2 - off_m**2, 0.0))
         axes.add_patch(Circle((east_m, north_m), within_m, **_SEEN))
         axes.text(east_m, north_m, radar.name, **_NAME)
-    for zone in figure.zones:
+    for zone in figure.task.zones:
         style = _ALLOWED if zone.keep_in else _BARRED
         axes.add_patch(Polygon(shapes.outline_ne_m(zone)[:, ::-1], **style))
     for points_nea_m, style in figure.lines + figure.marks:
@@ -273,7 +265,7 @@ def draw_oblique(axes: Any, figure: FlightFigure) -> None:
     axes.plot_surface(*place, facecolors=colours, shade=False, antialiased=False, **surface)
     band_m = (low, high)
     threats = [(shapes.ball_nea_m(radar, band_m, 30), _RADAR) for radar in figure.task.radars]
-    for zone in figure.zones:
+    for zone in figure.task.zones:
         threats.append((shapes.walls_nea_m(zone, band_m), _KEEP_IN if zone.keep_in else _KEEP_OUT))
     for grid, colour in threats:
         corners = np.clip(grid[..., [1, 0, 2]], least, most)
@@ -339,7 +331,8 @@ def _title(mission: Mission) -> str:
 
 def recorded_figure(flight: Flight, known: KnownMap | None) -> FlightFigure | None:
     """A recorded flight over known terrain; None: neither a position nor a subpath is recorded."""
-    task, track, legs = flight.mission.task, flight.places_nea_m, flight.legs_nea_m()
+    task = replace(flight.mission.task, zones=flight.zones_of(flight.decided))
+    track, legs = flight.places_nea_m, flight.legs_nea_m()
     lines = [line for line in (track, *legs) if len(line)]
     if not lines:
         return None
@@ -352,7 +345,6 @@ def recorded_figure(flight: Flight, known: KnownMap | None) -> FlightFigure | No
         targets_ne_m=flight.decided.targets_ne_m,
         legs_nea_m=tuple(_thinned(leg, sum(map(len, legs))) for leg in legs),
         scans_nea_m=() if flight.mission.near else tuple(scans),  # a lidar's is there all the time
-        vehicle_zones=flight.decided.vehicle_zones,
         track_nea_m=_thinned(track, len(track)) if len(track) > 1 else None,
     )
 

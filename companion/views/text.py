@@ -117,11 +117,10 @@ def _flown(flown: FlightSummary) -> Iterator[tuple[str, str]]:
     yield "subpaths flown", f"{session.state.flight.legs_flown}"
     if plans:
         yield "cost of all subpaths", number(sum(plan.cost for plan in plans), 1)
-        nearest = min(
-            (plan.certificate for plan in plans), key=lambda certificate: certificate.clearance_m
-        )
+        proofs = [plan.certificate for plan in plans]
+        nearest = min(proofs, key=lambda proof: proof.clearance_m)
         yield "least proven clearance", clearance_text(nearest)
-        inside_m = sum(plan.certificate.radar_m for plan in plans)
+        inside_m = sum(proof.radar_m for proof in proofs)
         yield "planned inside radar ranges", f"{number(inside_m)} m"
     if flown.plans_s:
         median_s, worst_s = statistics.median(flown.plans_s), max(flown.plans_s)

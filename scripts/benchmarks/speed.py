@@ -60,7 +60,7 @@ def timed(times_ms: list[float], function: Callable[..., Any]) -> Callable[..., 
 def flown(environment: str, seed: int) -> list[float]:
     """How long each plan of a mission took: bundled, among near things, or of a drawn world."""
     if environment in families.FAMILIES:
-        return [1e3 * seconds for seconds in fly_alone(families.world(environment, seed, 0)).plan_s]
+        return [1e3 * seconds for seconds in fly_alone(families.world(environment, seed, 0))[1]]
     times_ms = list[float]()
     scene = scene_of(environment, seed) if environment in ("street", "forest") else None
     fly(environment, environment, scene=scene, planner=timed(times_ms, plan), seed=seed)

@@ -117,9 +117,9 @@ def test_steps_of_a_grid_cost_its_rate_along_them_and_the_cheapest_way_the_least
 @pytest.mark.parametrize("knowledge", ["full", "scans"])
 def test_a_rival_arrives_and_keeps_its_clearance(knowledge: Knowledge) -> None:
     world = families.world("short-copter", 5, 0)
-    flown = fly_alone(world, "a-star", knowledge=knowledge)
-    points = flown.points_nea_m
-    assert not flown.why
+    flown, _ = fly_alone(world, "a-star", knowledge=knowledge)
+    points = flown.route_nea_m(0.3)
+    assert flown.failure is None
     assert math.dist(points[-1, :2], world.targets_ne_m[0]) < 1e-6
     need = world.task.required_clearance_m
     assert truth.terrain_distance_m(points, world.terrain, 2.0 * need).min() >= 0.99 * need

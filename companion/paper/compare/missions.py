@@ -88,8 +88,8 @@ class Run:
 
 def fly(case: Case, seed: int) -> Run:
     """Fly a case: simulated scans and perfect tracking."""
-    alone = fly_alone(case.world, case.planner, seed=seed)
-    flight, route = alone.whole, alone.whole.route_nea_m(_ROUTE_SPACING_M)
+    flight, plan_s = fly_alone(case.world, case.planner, seed=seed)
+    route = flight.route_nea_m(_ROUTE_SPACING_M)
     curves = (leg.subpath.control_nea_m for leg in flight.legs)
     return Run(
         arrived=flight.failure is None,
@@ -97,7 +97,7 @@ def fly(case: Case, seed: int) -> Run:
         length_m=sum(flight.flown_m),
         highest_amsl_m=float(route[:, 2].max()),
         j=sum(route_terms(route, case.world.task).values()),
-        plan_s=sum(alone.plan_s),
+        plan_s=sum(plan_s),
         way=case.across if crosses(route, case.between_ne_m) else ROUND,
         violations_m=violations(zip(curves, flight.flown_m, strict=True), case.world),
         route_nea_m=route,
@@ -172,10 +172,8 @@ class Outcome:
             del run["route_nea_m"], run["scans_nea_m"]
         names = ("heading", "label", "papers_cost", "papers_way")
         evaluations = case.world.task.settings.evaluations
-        return {name: getattr(case, name) for name in names} | {
-            "evaluations": evaluations,
-            "runs": runs,
-        }
+        of_case = {name: getattr(case, name) for name in names}
+        return of_case | {"evaluations": evaluations, "runs": runs}
 
 
 def fly_all(
