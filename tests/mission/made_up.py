@@ -292,12 +292,19 @@ class Craft:
         torn: of which nothing can be read.
         """
         self.watch.restarted(self.now_s, forgotten=torn)
-        values = json.loads(json.dumps(checkpoint.values_of(self.state)))
+        was, kept = self.state, checkpoint.values_of(self.state)
+        values = json.loads(json.dumps(kept))
         if torn:
-            told = {"time_s": self.now_s, "plan_id": self.state.flight.plan_id}
+            told = {"time_s": self.now_s, "plan_id": was.flight.plan_id}
             values = checkpoint.without_checkpoint("torn", system_id=1, **told)
-        kept = values, self.state.flight.known
-        state = checkpoint.initial_state(self.context.mission, kept)
+        state = checkpoint.initial_state(self.context.mission, (values, was.flight.known))
+        if not torn:
+            assert checkpoint.values_of(state) == {
+                **kept,
+                "phase": Phase.WAITING.name,
+                "sank": False,
+            }
+            assert (state.task, leaves(state)) == (was.task, leaves(was))
         self.state, self.later = replace(state, now_s=self.now_s, since_s=self.now_s), []
         return self
 
@@ -431,6 +438,11 @@ class Craft:
 
     def says_where(self) -> list[Event]:
         return [position(self.now_s, self.here, self.velocity)]
+
+
+def leaves(state: State) -> float | None:
+    """Where its leg is left for the next."""
+    return None if state.leg is None else state.leg.successor_at_m
 
 
 _STEP = machine.step

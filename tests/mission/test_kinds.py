@@ -1,23 +1,20 @@
 """Every kind of autopilot and vehicle: take-off, take-over in the air, the flight, its end."""
 
-import json
 import math
 from itertools import pairwise
 
 import pytest
-from made_up import AWAY, EACH, PLANES, Craft, calm, flying, led, moving, now, tell, told
+from made_up import EACH, PLANES, Craft, calm, led, moving, now, tell, told
 from made_up_plans import not_planned
 from renewed import replace
 
 from companion.mavlink.autopilots import PX4_FIXED_WING
-from companion.mission import checkpoint, events, stopped
+from companion.mission import events, stopped
 from companion.mission.decisions import Context
 from companion.mission.events import Landed, Mode, OrderKind, Outcome, SetMode, Setpoint
 from companion.mission.mission import EndAction
 from companion.mission.phases import Phase, Reason
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
-from companion.planner.procedure import Reference
-from companion.world.zones import CircleZone
 
 FIRST = {
     TakeoffSequence.GUIDED_THEN_CLIMB: [SetMode, events.Arm, events.TakeOff],
@@ -115,23 +112,6 @@ def test_a_restart_in_flight_goes_on_without_a_jump(traits: VehicleTraits, after
         apart = min(math.dist(first.velocity_nea_m_s, velocity) for velocity in was)
         assert first.stay or apart <= 1.0 + 2.5 * craft.tick_s
     assert outcome_of(craft) is Outcome.ARRIVED
-
-
-def test_what_is_restored_is_what_was_kept() -> None:
-    """Under a fence, too; and where its leg is left, if that is earlier than without asking."""
-    craft = flying(AWAY)
-    zone = CircleZone(name="drawn", north_m=4_000.0, east_m=-4_000.0, radius_m=500.0)
-    craft.take(events.FenceChanged(time_s=craft.now_s, zones=(zone,)))
-    craft.run_until(lambda craft: craft.state.flight.legs_flown == 2)
-    asked = Reference(length_m=0.4 * craft.state.leg.successor_at_m, speed_m_s=90.0)
-    craft.state.path.leg = replace(craft.state.leg, p_prog=asked)
-    kept = checkpoint.values_of(craft.state)
-    values = json.loads(json.dumps(kept))
-    state = checkpoint.restored(craft.context.mission, craft.state.flight.known, values)
-    assert checkpoint.values_of(state) == {**kept, "phase": Phase.WAITING.name}
-    assert state.task == craft.state.task
-    assert (state.leg.p_prog, state.leg.successor_at_m) == (asked, asked.length_m)
-    assert state.airborne
 
 
 # --- planes

@@ -13,11 +13,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made_up import MISSION, PLANES, SPEED_M_S, TICK_S, Craft, calm, flying, led, position
+from made_up import MISSION, PLANES, SPEED_M_S, TICK_S, Craft, flying, led, position
 from made_up_plans import LEG_M
 from renewed import deep, replace
 
-from companion.mavlink.autopilots import ARDUCOPTER
 from companion.mission import events
 from companion.mission.decisions import Turn
 from companion.mission.events import Plan, Setpoint, StartScan
@@ -70,31 +69,6 @@ def test_each_leg_is_scanned_for_once_at_p_scan_and_planned_and_begun_at_p_prog(
     np.testing.assert_allclose(np.diff([*map(flown_m, at_speed)]), SPEED_M_S * TICK_S, atol=1e-6)
 
 
-def test_setpoints_wait_for_a_vehicle_that_falls_behind_and_go_on_when_it_follows() -> None:
-    craft = flying()
-    craft.follows, craft.velocity = False, (0.5, 0.5, 0.0)
-    ahead = [s for _ in range(100) for s in craft.tick() if isinstance(s, Setpoint)]
-    assert len(ahead) > 10
-    most_m = SPEED_M_S * 1.0 + SPEED_M_S * TICK_S
-    assert max(math.dist(s.position_nea_m, craft.here) for s in ahead) <= most_m
-    assert ahead[-1].velocity_nea_m_s == (0.0, 0.0, 0.0)
-    while math.dist(craft.here, craft.sent(Setpoint)[-1].position_nea_m) > 4.5:  # it catches up
-        craft.drift((30.0, 30.0, 0.0))
-        craft.tick()
-    craft.follows = True
-    assert math.hypot(*craft.run_for(70.0).velocity) == pytest.approx(SPEED_M_S)
-
-
-def test_a_position_that_was_overtaken_or_comes_twice_changes_nothing() -> None:
-    craft = flying()
-    was = position(craft.now_s, craft.here, craft.velocity)
-    craft.tick()
-    before = craft.state
-    for event in (was, position(craft.now_s, craft.here, craft.velocity)):
-        assert craft.take(event) == []
-        assert craft.state.vehicle == before.vehicle
-
-
 # --- off its path
 
 ALONG, BACK = (NORTH_EAST, NORTH_EAST, 0.0), (-NORTH_EAST, -NORTH_EAST, 0.0)
@@ -130,16 +104,6 @@ LIMITS = {
 }
 """Which way it is how far from its reference point, having been outside of its tube for so long:
 from there on it is to stop on its path, or to hold."""
-
-
-@pytest.mark.parametrize(("off_m", "looks"), [(4.0, False), (2.9, True)])
-def test_no_leg_is_looked_for_until_a_copter_is_within_its_tube(off_m: float, looks: bool) -> None:
-    """Of 3 m: else it would have left its path as it sets out."""
-    craft = calm(ARDUCOPTER.traits).fly_to(Phase.FLYING)
-    craft.state, (north, east, up) = deep(craft.state), craft.here
-    craft.state.flight.hover_nea_m = north + off_m, east, up
-    told = craft.take(position(craft.now_s + TICK_S, craft.here))
-    assert (StartScan in map(type, told)) is looks
 
 
 @pytest.mark.parametrize("share", [0.98, 1.02])

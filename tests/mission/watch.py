@@ -113,6 +113,9 @@ class Watch:
         now = after.now_s
         assert now == max(before.now_s, event.time_s), "time went back"
         self.phases |= {after.phase}
+        if isinstance(event, Position) and not new:
+            assert not commands, "an old position was answered"
+            assert after.vehicle == before.vehicle, "an old position was taken"
         self._moves(before, after, commands)
         if Phase.LANDING in (before.phase, after.phase):
             self.circled = None
@@ -253,6 +256,9 @@ class Watch:
             assert apart_m <= 0.5 or not is_near, f"led to a circle {apart_m:.0f} m beside its own"
         if not sent.stay:
             self._on_path(before, after, sent)
+            ahead_m = math.dist(at, here) - 3.0 * limits.tracking_error_m
+            waits = ahead_m <= 1.3 * limits.speed_m_s or not self.traits.hovers
+            assert waits, f"led {ahead_m:.0f} m ahead of a vehicle that does not follow"
         elif now - self.streamed_at_s > 1.5 or self.not_guided_at_s > self.streamed_at_s:
             led_m = limits.speed_m_s + 5.0
             if not self.traits.hovers:
@@ -307,7 +313,7 @@ class Watch:
             return
         apart_m = math.dist(self.position.position_nea_m[:2], self.last.position_nea_m[:2])
         on_circle_m = self.limits.loiter_radius_m + self.limits.tracking_error_m
-        near_m = 5.0 if self.traits.hovers else on_circle_m
+        near_m = min(5.0, self.limits.tracking_error_m) if self.traits.hovers else on_circle_m
         assert apart_m <= near_m + 1e-5, f"looks for a leg from a place {apart_m:.0f} m away"
 
     def _up(self, before: State, command: events.Arm | events.TakeOff) -> None:
