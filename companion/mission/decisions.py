@@ -178,7 +178,6 @@ def hold_for(state: State, reason: Reason) -> None:
         held = phases.Holding(why=reason, seen=seen)
     held.why = reason
     held.since_s, held.asked_at_s, held.asks = state.now_s, -1e9, 0
-    held.obeyed, held.backtrack = False, None
     state.stage = held
     state.because(reason)
 

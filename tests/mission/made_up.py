@@ -14,6 +14,8 @@ from made_up_plans import certificate as certificate
 from made_up_plans import not_planned, straight, within_band
 from made_up_plans import planned as planned
 from renewed import replace
+from watch import Watch
+from watch import moving as moving
 
 from companion.config import load_mission
 from companion.mavlink.autopilots import ALL, ARDUCOPTER
@@ -81,13 +83,6 @@ EACH = of_each(lambda _: True)
 PLANES = of_each(lambda traits: not traits.hovers)
 
 # --- what was said
-
-MOVING = (events.Arm, events.Disarm, events.TakeOff, SetMode, Setpoint, events.SetSpeed)
-
-
-def moving(commands: Sequence[Command]) -> list[Command]:
-    """What moves a vehicle."""
-    return [command for command in commands if isinstance(command, MOVING)]
 
 
 def texts(commands: Sequence[Command]) -> list[str]:
@@ -202,6 +197,7 @@ class Craft:
         self.later: list[tuple[float, Event]] = []
         """What it says, from when on."""
         self.steps: list[Taken] = []
+        self.watch = Watch(traits, self.context)
 
     def aloft(self, mode: Mode, height_m: float = 20.0) -> Self:
         """In the air already, in some mode."""
@@ -222,7 +218,7 @@ class Craft:
     @property
     def phases(self) -> set[Phase]:
         """All that it has come through."""
-        return {after.phase for *_, after, _ in self.steps}
+        return {*self.watch.phases}
 
     @property
     def commands(self) -> list[Command]:
@@ -245,6 +241,8 @@ class Craft:
             before = self.state
             self.state, commands = machine.step(before, event, self.context)
             self.steps.append((before, event, self.state, commands))
+            self.watch.context = self.context
+            self.watch.saw(before, event, self.state, commands)
             out += commands
         return out
 
@@ -284,6 +282,7 @@ class Craft:
     def copy(self) -> Self:
         """Another one that has come as far, and flies on by itself."""
         other = copy.copy(self)
+        other.watch = copy.copy(self.watch)
         other.steps, other.later = [*self.steps], [*self.later]
         return other
 
@@ -292,12 +291,20 @@ class Craft:
 
         torn: of which nothing can be read.
         """
-        values = json.loads(json.dumps(checkpoint.values_of(self.state)))
+        self.watch.restarted(self.now_s, forgotten=torn)
+        was, kept = self.state, checkpoint.values_of(self.state)
+        values = json.loads(json.dumps(kept))
         if torn:
-            told = {"time_s": self.now_s, "plan_id": self.state.flight.plan_id}
+            told = {"time_s": self.now_s, "plan_id": was.flight.plan_id}
             values = checkpoint.without_checkpoint("torn", system_id=1, **told)
-        kept = values, self.state.flight.known
-        state = checkpoint.initial_state(self.context.mission, kept)
+        state = checkpoint.initial_state(self.context.mission, (values, was.flight.known))
+        if not torn:
+            assert checkpoint.values_of(state) == {
+                **kept,
+                "phase": Phase.WAITING.name,
+                "sank": False,
+            }
+            assert (state.task, leaves(state)) == (was.task, leaves(was))
         self.state, self.later = replace(state, now_s=self.now_s, since_s=self.now_s), []
         return self
 
@@ -305,6 +312,7 @@ class Craft:
         """The autopilot's clock begins again, as the session tells it."""
         self.now_s, self.later, self.streamed_at_s = 1.0, [], -math.inf
         self.state = replace(self.state, now_s=1.0, since_s=1.0)
+        self.watch.forget(1.0)
         self.hear(events.Rebooted(time_s=1.0))
         return self
 
@@ -430,6 +438,11 @@ class Craft:
 
     def says_where(self) -> list[Event]:
         return [position(self.now_s, self.here, self.velocity)]
+
+
+def leaves(state: State) -> float | None:
+    """Where its leg is left for the next."""
+    return None if state.leg is None else state.leg.successor_at_m
 
 
 _STEP = machine.step

@@ -3,7 +3,19 @@
 from collections.abc import Callable
 
 import pytest
-from made_up import EACH, HOME_AMSL_M, SITUATIONS, TICK_S, Craft, calm, led, moving, tell, told
+from made_up import (
+    EACH,
+    HOME_AMSL_M,
+    SITUATIONS,
+    TICK_S,
+    Craft,
+    calm,
+    hears,
+    led,
+    moving,
+    tell,
+    told,
+)
 
 from companion.mission import events
 from companion.mission.changes import OrderResult
@@ -24,12 +36,10 @@ def test_the_companion_that_comes_second_ends_without_a_command_once_it_is_certa
     mode: None: it was started again on the path of the first, which it hears only once it leads.
     """
     craft = calm(traits).aloft(mode) if mode else told(led(traits), 5.0, Craft.restart, 2.5)
-    assert craft.state.has_had_control is (mode is None)
     for certain in (False, False, True):
-        before = len(moving(craft.commands)) if mode is None else 0
-        craft.hear(events.DuplicateId(time_s=craft.now_s, certain=certain, news=certain))
-        craft.run_for(0.8)
-    assert len(moving(craft.commands)) == before
+        count = len(craft.commands) if mode is None else 0
+        told(craft, hears(events.DuplicateId, certain=certain, news=certain), 0.8)
+    assert not moving(craft.commands[count:])
     assert craft.end().reason == Reason.NOT_ALONE.text
     assert not is_under_control(craft.state)
 

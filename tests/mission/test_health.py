@@ -191,6 +191,9 @@ GLITCH: tuple[Happening, ...] = (doubted, 10.0, jumps, 10.0, vouched)
         # px4.md 8: an estimator without GPS has drifted by 31 m after 31 s
         ((lost, 9.9, leaps(north_m=12.0), 0.1, vouched, 1.0), True),
         ((lost, 30.9, leaps(north_m=31.0), 0.1, vouched, 1.0), True),
+        # of what was before it was believed nothing counts: no drift, nor how long it was blind
+        (2 * (lost, 5.0, leaps(north_m=8.0), 1.0, vouched, 10.0), True),
+        ((lost, 40.0, vouched, 10.0, *GLITCH, 10.0), False),
         # unseen it may have flown as far as it can; on the ground it may jump
         ((unseen, flies_on, 1.0), True),
         ((frozen, 10.0, thawed, flies_on, 1.0), True),

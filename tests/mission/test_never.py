@@ -23,9 +23,9 @@ def shard(number: int, events: int = EVENTS) -> list[Watch]:
         try:
             program.run(LONGEST)
         except AssertionError as error:
-            error.add_note(f"Wild({seed}).run({LONGEST}), at event {program.events}")
+            error.add_note(f"Wild({seed}).run({LONGEST}), at event {len(program.steps)}")
             raise
-        seen, seed = seen + program.events, seed + 1
+        seen, seed = seen + len(program.steps), seed + 1
         watches.append(program.watch)
     return watches
 

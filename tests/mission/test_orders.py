@@ -65,17 +65,6 @@ CARRIED_OUT: dict[OrderKind, tuple[Step, ...]] = {
 """What is so of a vehicle that does what was ordered, within a minute."""
 
 
-def test_who_is_paused_on_the_way_up_climbs_on_before_anything_is_planned() -> None:
-    """From below the band nothing can be planned: it would be given up."""
-    craft = Craft().fly_to(Phase.TAKING_OFF)
-    floor_m, _ = craft.state.task.band_amsl_m
-    told(craft, 0.2, PAUSE, Reason.PAUSED, 5.0)
-    assert HOME_AMSL_M < craft.here[2] < floor_m
-    told(craft, CONTINUE).run_until(lambda it: it.state.flight.plan_id > 0, 60.0)
-    assert craft.here[2] > floor_m - 5.0  # as near as it begins to look
-    told(craft, Phase.ARRIVED)
-
-
 @pytest.mark.parametrize("state", [*SITUATIONS][1:])
 @pytest.mark.parametrize("kind", OrderKind, ids=lambda kind: kind.name)
 def test_an_order_is_accepted_where_it_is_carried_out_and_what_is_accepted_is_done(
@@ -255,7 +244,7 @@ def test_px4_tells_a_companion_of_no_fence_but_is_in_it_or_misreads_it_and_in_a_
     assert told(craft, 30.0).state.reason is later
 
 
-# --- a fence that is changed in flight; while it is read, and in a pause: `test_stories`
+# --- a fence that is changed in flight; while it is read, or in a pause: `test_stories`
 
 AHEAD_NE_M = (10_000.0 * math.sqrt(0.5), 10_000.0 * math.sqrt(0.5))
 """On the first leg."""
@@ -271,16 +260,6 @@ def test_a_fence_across_the_path_or_around_it_stops_it_and_plans_anew(is_ahead: 
     clear_m = radius_m + MISSION.task.zone_clearance_m
     assert not is_ahead or math.dist(craft.here[:2], place) > clear_m
     craft.run_until(lambda craft: len(craft.sent(Plan)) == 2)
-    assert craft.sent(Plan)[-1].request.from_rest
-
-
-def test_after_a_restart_no_path_is_gone_on_with_across_a_fence_that_is_read_then() -> None:
-    craft = told(flying(), Craft.restart, Phase.PREPARING)
-    assert craft.state.path is not None
-    count, plans = len(craft.sent(events.Setpoint)), len(craft.sent(Plan))
-    craft.hear(drawn(craft, AHEAD_NE_M, 500.0))
-    craft.run_until(lambda craft: len(craft.sent(Plan)) > plans)
-    assert not [setpoint for setpoint in craft.sent(events.Setpoint)[count:] if not setpoint.stay]
     assert craft.sent(Plan)[-1].request.from_rest
 
 

@@ -46,6 +46,7 @@ from companion.mission.events import Landed, Mode, OrderKind, Outcome, Setpoint
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.mission.phases import Phase, Reason
 from companion.mission.stopped import FAILSAFE_OVER
+from companion.planner.procedure import Reference
 from companion.planner.request import NotPlanned, PlanOutcome, PlanRequest, Refusal
 from companion.world.zones import CircleZone
 
@@ -111,6 +112,7 @@ def is_found(aside_m: float) -> Callable[[Craft], None]:
     return lambda craft: setattr(craft, "here", (craft.here[0] + aside_m, *craft.here[1:]))
 
 
+EARLIER = Reference(length_m=3_000.0, speed_m_s=90.0)
 HOME_ZONE = CircleZone(name="z", north_m=0.0, east_m=0.0, radius_m=100.0)
 FENCED_OFF = hears(events.FenceChanged, zones=(HOME_ZONE,))
 CHECK, PARAMETER = "signing: none", "GUID_OPTIONS = 16"
@@ -144,10 +146,6 @@ def is_down(craft: Craft) -> bool:
     return craft.landed is Landed.ON_GROUND and not craft.armed
 
 
-def at_its_start(craft: Craft) -> bool:
-    return math.hypot(*craft.here[:2]) < 1.0
-
-
 def is_home(craft: Craft) -> bool:
     return math.dist(craft.here[:2], craft.home_nea_m[:2]) < 100.0 and is_down(craft)
 
@@ -177,11 +175,6 @@ def is_led_level(craft: Craft) -> bool:
     return heights == {round(craft.here[2])} and craft.here[2] > HOME_AMSL_M
 
 
-def is_led(craft: Craft) -> bool:
-    """In guided mode silence is a lost stream."""
-    return any(isinstance(command, Setpoint) for command in craft.during(2.0))
-
-
 def modes(craft: Craft) -> list[Mode]:
     """All that it was asked for."""
     return [each.mode for each in craft.sent(events.SetMode)]
@@ -208,10 +201,6 @@ def asks_for_the_whole_way(craft: Craft) -> bool:
     return abs(apart_m) < 0.01 * math.hypot(*craft.here[:2])
 
 
-def is_left_alone_for(seconds: float) -> Callable[[Craft], bool]:
-    return lambda craft: not moving(craft.during(seconds))
-
-
 def is_told_50_m_off(craft: Craft) -> bool:
     """It stops within a tick."""
     said = texts(craft.commands)[-1].rpartition(f"{Reason.POSITION_ELSEWHERE.text}: ")[2]
@@ -231,7 +220,6 @@ def refuses(kind: OrderKind, why: str) -> Callable[[Craft], bool]:
     )
 
 
-LEFT_ALONE = is_left_alone_for(150.0)
 IS_PAUSED, UNREAD = holds_for(Reason.PAUSED), holds_for(Reason.FENCE_UNREAD)
 BACK = says(": flying back, then home")
 EMPTY_ONCE = (hears(events.Battery, remaining=0.0), 2.0, hears(events.Battery, remaining=0.0), 2.5)
@@ -240,6 +228,17 @@ TAKES_OFF = until(lambda craft: craft.sent(events.TakeOff))
 ASKS_BACK = until(lambda craft: getattr(craft.state.stage, "backtrack", None))
 PAUSED_BEFORE = (RETURN, now(plan=lambda _: None), ASKS_BACK, PAUSE, now(plan=home_or_on), 5.0)
 STAYS_PAUSED = (400.0, IS_PAUSED, CONTINUE, RETURNING)
+
+
+def answered(nth: int) -> Callable[[Craft], object]:
+    """A way back for its last request, or for one before."""
+    return lambda craft: craft.hear(
+        events.PlanReady(
+            time_s=craft.now_s, outcome=home_or_on(craft.sent(events.Plan)[nth].request)
+        )
+    )
+
+
 ELSEWHERE_FOUND = (holds_for(Reason.POSITION_ELSEWHERE), lambda it: it.mode is Mode.HOLD)
 BROKEN_OFF = (
     *(now(mode=Mode.GUIDED, failsafe=False), 120.0, IS_PAUSED, is_led_level),
@@ -293,7 +292,7 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         asked_for_no_way_home, says("home: it lies outside the map")),
     "home is told anew after a reboot": (under_way(),
         20.0, Craft.reboot, lambda it: setattr(it, "home_nea_m", it.here), FLYING,  # in the air
-        RETURN, DONE, at_its_start),
+        RETURN, DONE, lambda it: math.hypot(*it.here[:2]) < 1.0),
     "half of the way back is proven, and no way home": (lambda: flying(AWAY, plan=half_back),
         20.0, RETURN, DONE, lambda it: it.mode is Mode.RETURN and RETURNING in it.phases,
         ends_as(Outcome.STOPPED, "its autopilot returns by itself: told to return")),
@@ -304,16 +303,21 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         RETURN, RETURNING,
         lambda it: max(np.diff([each.time_s for each in it.sent(Setpoint)]).tolist()) < 0.15),
     # a pause gives back what it broke off
+    "paused as it takes off": (Craft,  # from below the band nothing could be planned
+        Phase.TAKING_OFF, 0.2, PAUSE, Reason.PAUSED, 5.0,
+        lambda it: HOME_AMSL_M < it.here[2] < it.state.task.band_amsl_m[0], CONTINUE,
+        until(lambda it: it.state.flight.plan_id > 0, 60.0), Phase.ARRIVED),
     "a return paused at once": (under_way(),
-        RETURN, PAUSE, 2.0, CONTINUE, DONE, at_its_start,
+        RETURN, PAUSE, 2.0, CONTINUE, DONE, is_home,
         ends_as(Outcome.STOPPED, f"landed: {Reason.RETURN_ASKED.text}")),
-    "a return paused before its answer": (under_way(), *PAUSED_BEFORE, lambda it: it.hear(
-        events.PlanReady(time_s=it.now_s, outcome=home_or_on(it.sent(events.Plan)[-1].request))),
-        *STAYS_PAUSED),
+    "a return paused before its answer": (under_way(), *PAUSED_BEFORE, answered(-1), *STAYS_PAUSED),
+    "an answer to the first of two requests for its way back": (under_way(), *PAUSED_BEFORE,
+        now(plan=lambda _: None), RETURN, ASKS_BACK, answered(-2), holds_for(Reason.RETURN_ASKED),
+        answered(-1), RETURNING),
     "a return paused, and a restart": (under_way(), *PAUSED_BEFORE, Craft.restart, *STAYS_PAUSED),
     "a return for want of plans, paused": (under_way(fallback=Fallback.RETURN),
         now(plan=lambda r: not_planned(r) if r.flown is None else home_or_on(r)),
-        RETURNING, 10.0, PAUSE, 1.0, CONTINUE, DONE, at_its_start),
+        RETURNING, 10.0, PAUSE, 1.0, CONTINUE, DONE, is_home),
     "at its target its nose stays where it was": (lambda: flying(AWAY),
         DONE, arrives, lambda it: abs(it.sent(Setpoint)[-1].yaw_rad - math.pi / 4) < 0.02),
     # plans, links, restarts and reboots
@@ -324,6 +328,10 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         lambda: flying(AWAY, plan=lambda r: planned(r) if r.plan_id == 1 else None),
         until(lambda it: len(it.sent(events.Plan)) == 2), 6.0, hears(events.PlanLate, plan_id=2),
         is_flying, HOLDING, holds_for(Reason.PLAN_LATE)),
+    "it falls behind, and follows again": (flying,
+        now(follows=False, velocity=(0.5, 0.5, 0.0)), 10.0,
+        lambda it: it.sent(Setpoint)[-1].velocity_nea_m_s == (0.0, 0.0, 0.0), now(follows=True),
+        70.0, lambda it: math.hypot(*it.velocity) > 149.9),
     "a second try succeeds": (
         lambda: flying(AWAY, plan=lambda r: not_planned(r) if r.plan_id == 2 else planned(r)),
         HOLDING, DONE, arrives),
@@ -353,6 +361,9 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         Craft.restart, until(lambda it: it.mode is Mode.HOLD), now(velocity=(0.0, 0.0, 0.0)),
         DONE, arrives),
     "a reboot at its target": (arrived, Craft.reboot, PREPARING, DONE, arrives),
+    "a restart on a leg that it leaves earlier than is proven": (under_way(),
+        1.0, lambda it: setattr(it.state.path, "leg", replace(it.state.leg, p_prog=EARLIER)),
+        Craft.restart, lambda it: it.state.leg.successor_at_m == EARLIER.length_m),
     "a restart before it has lifted off": (lambda: Craft(NEAR),
         Phase.TAKING_OFF, Craft.restart, DONE, arrives),
     "a restart while it spins its motors up": (lambda: Craft(NEAR),
@@ -408,7 +419,7 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
     **{f"its failsafe is over{when}": (lambda: flying(AWAY),
         now(mode=Mode.RETURN, failsafe=True, obeys_modes=False), HOLDING, *again, Reason.FAILSAFE,
         now(fix=False), 5.0, now(failsafe=False, mode=Mode.HOLD), 5.0, says(FAILSAFE_OVER, 0),
-        now(fix=True), is_left_alone_for(100.0), says(FAILSAFE_OVER, 1),
+        now(fix=True), 100.0, says(FAILSAFE_OVER, 1),
         holds_for(Reason.FAILSAFE), now(obeys_modes=True), START, DONE, arrives)
         for when, again in (("", ()), (" after a restart", (Craft.restart, 20.0)))},
     # orders
@@ -447,8 +458,13 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         FENCE_CHANGES, says("reading 5,010 items"), 10.0, is_flying),
     "low, it does not wait for a fence": (under_way(),
         LOW, Reason.BATTERY_LOW, FENCE_CHANGES, 60.0, lambda it: it.phase is not HOLDING),
+    "a fence that is read after a restart lies across its path": (flying,
+        Craft.restart, PREPARING, lambda it: it.state.path is not None,
+        hears(events.FenceChanged, zones=(replace(HOME_ZONE, north_m=7e3, east_m=7e3),)),
+        until(lambda it: len(it.sent(events.Plan)) > 1),
+        lambda it: it.sent(events.Plan)[-1].request.from_rest),
     "a fence on its way back in a pause": (under_way(),
-        RETURN, RETURNING, 10.0, PAUSE, HOLDING, FENCED_OFF, is_led, IS_PAUSED),
+        RETURN, RETURNING, 10.0, PAUSE, HOLDING, FENCED_OFF, 5.0, IS_PAUSED),
     # who says go, and to what
     "it is ready for as long as it takes": (ready,
         200.0, told_nothing, says("waits for go", 1), START, Phase.TAKING_OFF,
@@ -470,7 +486,7 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         for why, happens in LOSSES.items()},
     "somebody arms it after a reboot, and keeps it": (lambda: Craft().fly_to(Phase.ARMING),
         until(lambda it: it.state.armed_by_us), Craft.reboot, now(armed=True, mode=Mode.OTHER),
-        LEFT_ALONE, DONE, ends(Reason.ARMED_ALREADY)),
+        150.0, DONE, ends(Reason.ARMED_ALREADY)),
     "somebody arms what is ready": (ready,
         now(armed=True, mode=Mode.GUIDED), DONE, ends(Reason.ARMED_ALREADY), told_nothing),
     "a pilot's mode before its take-off is broken off": (lambda: Craft().fly_to(Phase.ARMING),
@@ -488,8 +504,8 @@ STORIES: dict[str, tuple[Callable[[], Craft], *tuple[Step, ...]]] = {
         lambda: Craft(replace(NEAR, fallback=Fallback.LAND), plan=closed_in),
         LANDING, hears(events.StopAsked), DONE, ends(Reason.STOPPED)),
     # what falls meanwhile is never armed again
-    "fallen in a reboot": (under_way(), Craft.reboot, FALLEN, LEFT_ALONE, DONE),
-    "fallen in a restart": (under_way(), Craft.restart, FALLEN, LEFT_ALONE, DONE),
+    "fallen in a reboot": (under_way(), Craft.reboot, FALLEN, 150.0, DONE),
+    "fallen in a restart": (under_way(), Craft.restart, FALLEN, 150.0, DONE),
 }  # fmt: skip
 
 

@@ -13,29 +13,31 @@ simpler, means.
 
 import math
 import operator
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from made_up import MOVING, moving
 
-from companion.mavlink.autopilots import Autopilot
+from companion.mavlink.autopilots import ALL
 from companion.mavlink.autopilots.messages import To
 from companion.mission import events
 from companion.mission.decisions import Context
 from companion.mission.events import Command, Event, Landed, Mode, OrderKind, Position, Setpoint
 from companion.mission.phases import OVER, Phase, Reason, Trigger
 from companion.mission.state import Goal, State
+from companion.mission.vehicle_traits import VehicleTraits
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Leg
 from companion.planner.request import Backtrack, Planned
 
+MOVING = (events.Arm, events.Disarm, events.TakeOff, events.SetMode, Setpoint, events.SetSpeed)
 STREAMS = (Phase.FLYING, Phase.HOLDING, Phase.ARRIVED, Phase.RETURNING)
 ARROWS = {(phase, trigger.after) for trigger in Trigger for phase in trigger.origins}
 TAKEN = (Reason.MODE_TAKEN, Reason.FAILSAFE, Reason.FENCE_BREACHED)
 WITH_A_PERSON = (*TAKEN, Reason.PAUSED)
 """What a vehicle may be held for as long as it takes: somebody else has the say."""
 NOT_OURS = (*TAKEN, Reason.LINK_LOST, Reason.DISARMED, Reason.GROUNDED)
-SETTLES_S, HOLD_S, SLACK_S, TOUCHES_S = 30.0, 300.0, 5.0, 1.5
+SETTLES_S, HOLD_S, FENCE_S, SLACK_S, TOUCHES_S = 30.0, 300.0, 300.0, 5.0, 1.5
 SETS_OUT = (Phase.FLYING, Phase.RETURNING)
 SHORT_S, AT_ONCE_S = 3.0, 2.0
 STOPS_S = 45.0  # braking, with a vehicle that may be stuck for 30 s
@@ -47,22 +49,27 @@ PROGRESS = (Phase.FLYING, Phase.RETURNING, Phase.LANDING)
 """They may last for as long as something moves."""
 
 
-class Watch:
-    """Sees every step of one program; AssertionError where a law is broken."""
+def moving(commands: Sequence[Command]) -> list[Command]:
+    """What moves a vehicle."""
+    return [command for command in commands if isinstance(command, MOVING)]
 
-    def __init__(self, autopilot: Autopilot, context: Context) -> None:
-        self.autopilot, self.traits, self.context = autopilot, autopilot.traits, context
-        self.mission = context.mission
+
+class Watch:
+    """Sees every step of one flight; AssertionError where a law is broken."""
+
+    def __init__(self, traits: VehicleTraits, context: Context) -> None:
+        [self.autopilot] = (each for each in ALL if each.traits is traits)
+        self.traits, self.context, self.mission = traits, context, context.mission
         self.limits = self.mission.task.limits
-        self.phases: set[Phase] = set()
-        self.proven: set[bytes] = set()
+        self.phases = frozenset[Phase]()
+        self.proven = frozenset[bytes]()
         """Control points of the paths that may be flown."""
         self.newest = 0
         self.flown = False
         """Whether it was ever heard to be armed and in the air."""
         self.setpoints = self.kept = 0
         """How many were seen, and how often there was an order to keep to."""
-        self.goals = set(self.mission.targets_ne_m)
+        self.goals = frozenset(self.mission.targets_ne_m)
         """Where anybody ever wanted it to fly to; home is not among them."""
         self.restarted(0.0, forgotten=True)
 
@@ -75,6 +82,7 @@ class Watch:
         self.position: Position | None = None
         self.moved_at_s = self.jumped_at_s = -math.inf
         self.told_by_person = self.said_go = False
+        self.fence_unread_until_s = -math.inf
         self.spoke_at_s = self.since_s = self.progress_at_s = now_s
         self.streamed_at_s = -math.inf
         self.not_guided_at_s = now_s
@@ -104,7 +112,10 @@ class Watch:
         new = self._hear(event)
         now = after.now_s
         assert now == max(before.now_s, event.time_s), "time went back"
-        self.phases.add(after.phase)
+        self.phases |= {after.phase}
+        if isinstance(event, Position) and not new:
+            assert not commands, "an old position was answered"
+            assert after.vehicle == before.vehicle, "an old position was taken"
         self._moves(before, after, commands)
         if Phase.LANDING in (before.phase, after.phase):
             self.circled = None
@@ -149,11 +160,13 @@ class Watch:
             case events.Order(kind=OrderKind.START | OrderKind.CONTINUE):
                 self.told_by_person = True
                 self.said_go |= event.kind is OrderKind.START
+            case events.FenceReading(items=items):
+                self.fence_unread_until_s = math.inf if items else now
             case events.PlanReady(outcome=Planned(plan_id=self.newest) as way):
                 if way.certificate.proven:
-                    self.proven.add(_name(way.subpath))
+                    self.proven |= {_name(way.subpath)}
             case events.PlanReady(outcome=Backtrack(plan_id=self.newest, subpaths=subpaths)):
-                self.proven.update(map(_name, subpaths))
+                self.proven |= {*map(_name, subpaths)}
             case Position() if self.position is None or now > self.position.time_s:
                 self._hear_position(event)
                 return True
@@ -221,6 +234,8 @@ class Watch:
             return
         taken = before.phase is Phase.HOLDING and before.reason in TAKEN
         ours = (Mode.GUIDED,) if taken else (Mode.GUIDED, Mode.HOLD, Mode.TAKE_OFF)
+        if before.phase is Phase.LANDING and before.stage.obeyed:
+            ours = (*ours, Mode.LAND)
         assert self.mode in ours or self.told_by_person, f"fought for the vehicle: {said}"
 
     def _setpoint(self, before: State, after: State, sent: Setpoint) -> None:
@@ -249,6 +264,9 @@ class Watch:
             assert apart_m <= 0.5 or not is_near, f"led to a circle {apart_m:.0f} m beside its own"
         if not sent.stay:
             self._on_path(before, after, sent)
+            ahead_m = math.dist(at, here) - 3.0 * limits.tracking_error_m
+            waits = ahead_m <= 1.3 * limits.speed_m_s or not self.traits.hovers
+            assert waits, f"led {ahead_m:.0f} m ahead of a vehicle that does not follow"
         elif now - self.streamed_at_s > 1.5 or self.not_guided_at_s > self.streamed_at_s:
             led_m = limits.speed_m_s + 5.0
             if not self.traits.hovers:
@@ -303,7 +321,7 @@ class Watch:
             return
         apart_m = math.dist(self.position.position_nea_m[:2], self.last.position_nea_m[:2])
         on_circle_m = self.limits.loiter_radius_m + self.limits.tracking_error_m
-        near_m = 5.0 if self.traits.hovers else on_circle_m
+        near_m = min(5.0, self.limits.tracking_error_m) if self.traits.hovers else on_circle_m
         assert apart_m <= near_m + 1e-5, f"looks for a leg from a place {apart_m:.0f} m away"
 
     def _up(self, before: State, command: events.Arm | events.TakeOff) -> None:
@@ -357,6 +375,7 @@ class Watch:
         answers_s = settings.planning_time_s + 60.0
         turns_s = 3.0 * 2.0 * math.pi * limits.loiter_radius_m / limits.speed_m_s
         held_s = SETTLES_S + answers_s if state.reason in ON_SETPOINTS else HOLD_S
+        held_s += FENCE_S * (self.fence_unread_until_s > self.since_s)
         longest_s = {
             Phase.PREPARING: math.inf if state.unready else 120.0,  # a person waits with it
             Phase.ARMING: 60.0,
@@ -407,10 +426,10 @@ class Watch:
             case events.Rebooted():
                 self.short_at_s = math.inf
             case events.TargetsChanged(targets_ne_m=targets):
-                self.goals |= set(targets)
+                self.goals |= {*targets}
                 self.short_at_s = math.inf
             case events.Order(kind=OrderKind.REPOSITION, target_ne_m=target) if target is not None:
-                self.goals.add(target)
+                self.goals |= {target}
                 self.paused = self.returns = self.lands = False
                 self.short_at_s, self.orders = math.inf, self.orders + 1
             case events.Order(kind=OrderKind.PAUSE):

@@ -13,10 +13,9 @@ import numpy as np
 from made_up import HOME_AMSL_M, SHORT_LEG_M, Craft, position, retraced, scan_done, short
 from made_up_plans import certificate, not_planned, planned
 from renewed import replace
-from watch import Watch
 
 from companion.mavlink.autopilots import ALL, PX4_FIXED_WING
-from companion.mission import changes, events, machine
+from companion.mission import changes, events
 from companion.mission.events import Command, Event, Item, Landed, Mode, OrderKind, Vector
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.phases import Phase
@@ -50,9 +49,9 @@ class Wild(Craft):
 
     def __init__(self, seed: int) -> None:
         self.rng = rng = np.random.default_rng(seed)
-        self.autopilot = ALL[seed % len(ALL)]
+        traits = ALL[seed % len(ALL)].traits
         mission = short(
-            self.autopilot.traits,
+            traits,
             targets_ne_m=_TARGETS[: int(rng.integers(1, 4))],
             end_action=list(EndAction)[rng.integers(3)],
             fallback=list(Fallback)[rng.integers(3)],
@@ -60,10 +59,9 @@ class Wild(Craft):
             yaw_rad=[None, 1.0][rng.integers(2)],
         )
         shadow, go = bool(rng.random() < 0.08), seed % 3 > 0
-        super().__init__(mission, self.answer, self.autopilot.traits, shadow=shadow, go=go)
-        self.watch = Watch(self.autopilot, self.context)
+        super().__init__(mission, self.answer, traits, shadow=shadow, go=go)
         often = rng.choice([0.0, 0.003, 0.02, 0.1, 0.4], p=[0.05, 0.2, 0.4, 0.25, 0.1])
-        self.trouble, self.events = float(often), 0
+        self.trouble = float(often)
         self.tick_s = float(rng.choice([0.05, 0.1, 0.2, 0.25]))
         self.bad_plans = float(rng.choice([0.0, 0.2, 0.6]))
         self.now_s = self.began_s = float(rng.choice([0.0, 5000.0]))
@@ -88,18 +86,9 @@ class Wild(Craft):
     def run(self, events: int) -> None:
         """At least so many events, or until some are seen to do nothing after the end."""
         after = 0
-        while self.events < events and after < 8:
+        while len(self.steps) < events and after < 8:
             self.tick()
             after += self.over
-
-    def take(self, *events: Event) -> list[Command]:
-        """The machine decides, the watch sees it."""
-        [event] = events
-        self.events += 1
-        before = self.state
-        self.state, commands = machine.step(before, event, self.context)
-        self.watch.saw(before, event, self.state, commands)
-        return commands
 
     def is_wrong(self, what: str) -> bool:
         return self.wrong.get(what, -1.0) > self.now_s
@@ -302,16 +291,13 @@ class Wild(Craft):
         """As the session does it: the clock begins again."""
         if not self.over:
             self.wrong = {}
-            self.watch.forget(1.0)
             self.reboot()
 
     def _restart(self) -> None:
         """The companion dies and is started again from its checkpoint, which may be torn."""
         if self.over or self.context.shadow or self.state.phase not in _KEPT:
             return
-        torn = self.happens(0.2)
-        self.watch.restarted(self.now_s, forgotten=torn)
-        self.restart(torn=torn)
+        self.restart(torn=self.happens(0.2))
 
     def _namesake(self) -> None:
         """Somebody with our ids, for certain or perhaps."""
