@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import pytest
-from harness import world
+from harness import command_long, heartbeat, world
 from pymavlink.dialects.v20 import all as mavlink
 from wires import Speaker
 
@@ -38,11 +38,10 @@ class Client(Speaker):
         self.endpoint = f"udpout:127.0.0.1:{self.port}"
 
     def command(self, number: int, *p: float, target: tuple[int, int] = (1, 1)) -> bytes:
-        padded = [*p, *[0.0] * (7 - len(p))]
-        return self.frame(mavlink.MAVLink_command_long_message(*target, number, 0, *padded))
+        return self.frame(command_long(number, *p, target=target))
 
     def heartbeat(self, status: int = 4) -> bytes:
-        return self.frame(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, status, 3))
+        return self.frame(heartbeat(status=status))
 
     def answer(self, question: Any) -> bytes:
         return self.frame(mavlink.MAVLink_timesync_message(question.ts1, question.ts1))

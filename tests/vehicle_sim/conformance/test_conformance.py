@@ -19,9 +19,14 @@ from conformance.rows import Row
 from vehicle_sim.errors import InputError
 
 COPTER, PX4 = "arducopter-gps-loss.tlog", "px4-gps-loss.tlog"
-EACH = pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.xdist_group(name)) for name in AGREED]
-)
+LONG = {"arducopter-guided-10mps.tlog", "arducopter-lidar.tlog", "px4-offboard-8mps.tlog"}
+"""With --all alone."""
+FLIGHTS = [
+    pytest.param(
+        name, marks=[pytest.mark.xdist_group(name), *[pytest.mark.nightly] * (name in LONG)]
+    )
+    for name in AGREED
+]
 
 
 @functools.cache
@@ -33,8 +38,7 @@ def rows_of(flight: Recording, said: Side) -> list[Row]:
     return compare(flight, flight_of(flight.name), said)
 
 
-@pytest.mark.sample(3)
-@EACH
+@pytest.mark.parametrize("name", FLIGHTS)
 def test_the_simulated_autopilot_is_like_the_recorded_one(name: str) -> None:
     """A reason that no row needs fails too, and one that says nothing."""
     reasons = flight_of(name).reasons
@@ -49,7 +53,7 @@ def test_the_simulated_autopilot_is_like_the_recorded_one(name: str) -> None:
 
 
 @pytest.mark.sample(9)
-@EACH
+@pytest.mark.parametrize("name", FLIGHTS)
 def test_a_flight_agrees_with_itself_not_with_another_and_silence_with_nothing(name: str) -> None:
     flight = recorded(name)
     other = recorded("arducopter-guided-10mps.tlog" if name == COPTER else COPTER)
