@@ -146,8 +146,9 @@ def test_nothing_is_hidden_that_a_ray_reaches_and_what_is_seen_is_its_highest_gr
     brute_m = height(*spots(request, 13)).reshape(28, 32, -1).max(axis=-1)
     over_m = (got - brute_m)[~hidden]
     assert over_m.min() >= -1e-6
-    assert over_m.max() <= 1.0 + 5.0 * spacing_m / 12.0  # between samples, slopes up to about 7
-    assert np.mean(over_m <= 2.0) > 0.5  # and mostly not more than the rounding
+    if combine == "maximum":  # 1 / 12 of a cell between samples, slopes up to about 7
+        assert over_m.max() <= 1.0 + 5.0 * spacing_m / 12.0
+        assert np.mean(over_m <= 2.0) > 0.5  # and mostly not more than the rounding
 
 
 @pytest.mark.parametrize("eye_m", [3.0, 25.0])
