@@ -110,6 +110,10 @@ class Process(subprocess.Popen[str]):
         out, err = self.communicate(timeout=40)
         return self.returncode, out, err
 
+    def close(self) -> None:
+        with self:
+            self.kill()
+
 
 class Running(threading.Thread):
     """A server of vehicles with a radar, on one link or on one each ("A B"); what became of it."""
@@ -123,12 +127,11 @@ class Running(threading.Thread):
         self.links = [open_link(parse_endpoint(each)) for each in endpoints.split()]
         self.port, self.error = self.links[0].endpoint.port, cast(Any, None)
         pairs = zip(self.simulations, itertools.cycle(self.links), strict=False)
-        stations = [Station(simulation=each, links=[link]) for each, link in pairs]
-        ours = Stations(stations, self.stop)
+        ours = Stations([Station(simulation=it, links=[link]) for it, link in pairs], self.stop)
         self._server = Server(stations=ours, say=lambda _: None, **settings)
         self.start()
 
-    def end(self) -> None:
+    def close(self) -> None:
         self.stop.set()
         self.join(10.0)
         for link in self.links:
