@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import pytest
-from harness import world
+from harness import command_long, heartbeat, world
 from pymavlink.dialects.v20 import all as mavlink
 from wires import Speaker
 
@@ -38,11 +38,10 @@ class Client(Speaker):
         self.endpoint = f"udpout:127.0.0.1:{self.port}"
 
     def command(self, number: int, *p: float, target: tuple[int, int] = (1, 1)) -> bytes:
-        padded = [*p, *[0.0] * (7 - len(p))]
-        return self.frame(mavlink.MAVLink_command_long_message(*target, number, 0, *padded))
+        return self.frame(command_long(number, *p, target=target))
 
     def heartbeat(self, status: int = 4) -> bytes:
-        return self.frame(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, status, 3))
+        return self.frame(heartbeat(status=status))
 
     def answer(self, question: Any) -> bytes:
         return self.frame(mavlink.MAVLink_timesync_message(question.ts1, question.ts1))
@@ -111,6 +110,10 @@ class Process(subprocess.Popen[str]):
         out, err = self.communicate(timeout=40)
         return self.returncode, out, err
 
+    def close(self) -> None:
+        with self:
+            self.kill()
+
 
 class Running(threading.Thread):
     """A server of vehicles with a radar, on one link or on one each ("A B"); what became of it."""
@@ -124,12 +127,11 @@ class Running(threading.Thread):
         self.links = [open_link(parse_endpoint(each)) for each in endpoints.split()]
         self.port, self.error = self.links[0].endpoint.port, cast(Any, None)
         pairs = zip(self.simulations, itertools.cycle(self.links), strict=False)
-        stations = [Station(simulation=each, links=[link]) for each, link in pairs]
-        ours = Stations(stations, self.stop)
+        ours = Stations([Station(simulation=it, links=[link]) for it, link in pairs], self.stop)
         self._server = Server(stations=ours, say=lambda _: None, **settings)
         self.start()
 
-    def end(self) -> None:
+    def close(self) -> None:
         self.stop.set()
         self.join(10.0)
         for link in self.links:

@@ -1,8 +1,7 @@
 """A companion on UDP, processes and servers that end with the test."""
 
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
-from typing import Any
+from contextlib import ExitStack, closing
 
 import pytest
 from clients import Client, Process, Running, udp_client
@@ -18,23 +17,11 @@ def companion() -> Iterator[Client]:
 def start() -> Iterator[Callable[..., Process]]:
     """Start vehicle-sim with these arguments; whatever still runs afterwards is killed."""
     with ExitStack() as stack:
-
-        def begin(*arguments: object, **keywords: Any) -> Process:
-            process = stack.enter_context(Process(*arguments, **keywords))
-            stack.callback(process.kill)
-            return process
-
-        yield begin
+        yield lambda *how, **pipes: stack.enter_context(closing(Process(*how, **pipes)))
 
 
 @pytest.fixture
 def serve() -> Iterator[Callable[..., Running]]:
     """Serve so many vehicles until the test ends."""
     with ExitStack() as stack:
-
-        def begin(endpoints: str, count: int = 1, **settings: Any) -> Running:
-            running = Running(endpoints, count, **settings)
-            stack.callback(running.end)
-            return running
-
-        yield begin
+        yield lambda *how, **settings: stack.enter_context(closing(Running(*how, **settings)))

@@ -91,8 +91,13 @@ def setpoint(
     return made(0, *VEHICLE, frame, masked if mask is None else mask, *vectors, yaw_rad or 0.0, 0)
 
 
-def heartbeat(kind: int = mavlink.MAV_TYPE_ONBOARD_CONTROLLER) -> Any:
-    return mavlink.MAVLink_heartbeat_message(kind, 8, 0, 0, 4, 3)
+def heartbeat(kind: int = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, status: int = 4) -> Any:
+    return mavlink.MAVLink_heartbeat_message(kind, 8, 0, 0, status, 3)
+
+
+def command_long(number: int, *p: float, target: Ids = VEHICLE) -> Any:
+    """What is left out is 0."""
+    return mavlink.MAVLink_command_long_message(*target, number, 0, *p, *[0.0] * (7 - len(p)))
 
 
 class Heard:
@@ -192,10 +197,9 @@ class Rig:
 
         None: there is no answer.
         """
-        begun, (*four, x, y, z) = len(self.heard), (*p, *(0.0,) * (7 - len(p)))
-        if frame is None:
-            order = mavlink.MAVLink_command_long_message(*VEHICLE, number, 0, *four, x, y, z)
-        else:
+        begun, order = len(self.heard), command_long(number, *p)
+        if frame is not None:
+            *four, x, y, z = (*p, *[0.0] * (7 - len(p)))
             place = (_NOWHERE if math.isnan(angle) else round(angle * 1e7) for angle in (x, y))
             head = (*VEHICLE, frame, number, 0, 0)
             order = mavlink.MAVLink_command_int_message(*head, *four, *place, z)
@@ -278,13 +282,10 @@ class Rig:
             self.step()
         return self.now_s - begun_s
 
-    def stream(self, seconds: float, *vectors: Any, rate_hz: float = 20.0, **fields: Any) -> Self:
-        """The same setpoint again and again."""
-        told, every = setpoint(*vectors, **fields), round(1.0 / rate_hz / STEP_S)
-        for k in range(round(seconds / STEP_S)):
-            if k % every == 0:
-                self.send(told)
-            self.step()
+    def stream(self, seconds: float, *vectors: Any, **fields: Any) -> Self:
+        """The same setpoint again and again, and no more then."""
+        self.streamed = setpoint(*vectors, **fields)
+        self.run(seconds).streamed = None
         return self
 
     def armable(self) -> Self:
@@ -329,14 +330,12 @@ class Rig:
             self.until(lambda: self.status.landed_state == 2, 30.0)
         return self.run(3.0)
 
-    def put_at(
-        self, north_m: float, east_m: float, up_m: float, heading_rad: float, *, speed_m_s: float
-    ) -> Self:
-        """A plane, wings level in still air."""
-        plane, there = self.vehicle, self.place(north_m, east_m, up_m)
-        plane.latitude_deg, plane.longitude_deg, plane.altitude_amsl_m = there
-        plane.heading_rad, plane.roll_rad, plane.airspeed_m_s = heading_rad, 0.0, speed_m_s
-        plane.velocity_m_s = cmath.rect(speed_m_s, heading_rad)
+    def put_at(self, place: Vector, velocity_m_s: complex) -> Self:
+        """A plane, wings level in still air, north + east j."""
+        plane = self.vehicle
+        plane.latitude_deg, plane.longitude_deg, plane.altitude_amsl_m = place
+        plane.velocity_m_s, plane.airspeed_m_s = velocity_m_s, abs(velocity_m_s)
+        plane.heading_rad, plane.roll_rad = cmath.phase(velocity_m_s) % math.tau, 0.0
         return self.run(STEP_S)
 
     # --- out ----------------------------------------------------------------------------------
@@ -354,10 +353,7 @@ class Rig:
 
     def last(self, kind: str) -> Any:
         """The newest of this kind on link 0; it must have come."""
-        for each in reversed(self.heard):
-            if each.kind == kind and each.link == 0:
-                return each.message
-        raise AssertionError(f"no {kind} has come")
+        return self.all(kind)[-1].message
 
     def texts(self, since_s: float = 0.0) -> list[str]:
         """What was said, of each text the first 50 characters."""
@@ -453,5 +449,5 @@ def _cruising(**told: Any) -> Rig:
 
 def cruising(north_m: float = 0, east_m: float = 0, heading_rad: float = 0, **told: Any) -> Rig:
     """PX4's plane that has long been on its way, put there 68 m up."""
-    rig, speed_m_s = _cruising(**told), SIH_AIRPLANE.airspeed_max_m_s
-    return rig.put_at(north_m, east_m, 68.0, heading_rad, speed_m_s=speed_m_s)
+    rig, velocity_m_s = _cruising(**told), cmath.rect(SIH_AIRPLANE.airspeed_max_m_s, heading_rad)
+    return rig.put_at(rig.place(north_m, east_m, 68.0), velocity_m_s)

@@ -10,7 +10,7 @@ import struct
 from typing import Any
 
 import pytest
-from harness import VEHICLE, Rig, hover, hovering
+from harness import VEHICLE, Rig, command_long, heartbeat, hover, hovering
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
@@ -21,8 +21,7 @@ from vehicle_sim.flight_controller import texts
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.wire.frames import StreamParser, framed
 
-ARM = mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 7.5)
-BEAT = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
+ARM, BEAT = command_long(400, 1, 0, 0, 0, 0, 0, 7.5), heartbeat()
 TEXT = mavlink.MAVLink_statustext_message(4, b"a text that is long enough for all of its 50 bytes")
 BOTH = pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
 
@@ -204,5 +203,5 @@ def test_the_parameters_of_ids_count_from_the_next_boot_on(firmware: Firmware) -
     vehicle.run(1.2).heard.clear()
     assert {each.source for each in vehicle.run(3.0).heard} == {after}
     for target, obeys in ((after, True), (VEHICLE, False)):
-        order = mavlink.MAVLink_command_long_message(*target, 400, 0, 1, *[0] * 6)
-        assert any(each.get_type() == "COMMAND_ACK" for each in vehicle.ask(order)) is obeys
+        answers = vehicle.ask(command_long(400, 1, target=target))
+        assert any(each.get_type() == "COMMAND_ACK" for each in answers) is obeys

@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 import pytest
-from harness import COMPANION, GCS, Ids, Rig, copied
+from harness import COMPANION, GCS, Ids, Rig, copied, heartbeat
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot.values import Sender
@@ -28,11 +28,11 @@ def message(kind: str, *target: int, **fields: Any) -> Any:
     return made(**dict.fromkeys(made.fieldnames, 0) | addressed | fields)
 
 
+BEAT = heartbeat(mavlink.MAV_TYPE_GCS)
 setpoint = partial(message, "set_position_target_local_ned")
 command = partial(message, "command_long", command=400)
 key = partial(message, "setup_signing", secret_key=[7] * 32)
 text = partial(message, "statustext", text=b"hello")
-BEAT = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
 ACK, RADIO, SYNC = message("command_ack", *GCS), message("radio_status"), message("timesync")
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from harness import GCS, Rig
+from harness import GCS, Rig, command_long
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from vehicle_sim.wire.impairments import MAX_FRAMES, Impairments
 from vehicle_sim.wire.signing import Signing
 
 STEP_US, S = 10_000, 1_000_000
-ARM = mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0)
+ARM = command_long(400, 1)
 STATUS = mavlink.MAVLink_radio_status_message(1, 1, 1, 1, 1, 1, 1)
 
 # --- what is signed -------------------------------------------------------------------------------

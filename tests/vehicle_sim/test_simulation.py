@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from clients import ROOT, Client, is_question
-from harness import NAN, PLACE, Rig, heartbeat, setpoint
+from harness import NAN, PLACE, Rig, command_long, heartbeat, setpoint
 from pymavlink.dialects.v20 import all as mavlink
 from wires import Speaker
 
@@ -31,7 +31,7 @@ def test_only_the_companion_that_was_heard_first_ends_the_run() -> None:
     vehicle = Rig("ideal")
     vehicle.send(heartbeat())
     for source, ended in (((255, 190), False), (vehicle.source, True)):
-        vehicle.send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 7, 3), source=source)
+        vehicle.send(heartbeat(mavlink.MAV_TYPE_GCS, 7), source=source)
         assert vehicle.simulation.companion_ended is ended
 
 
@@ -134,10 +134,6 @@ def send(sim: testing.Simulator, *messages: Any) -> None:
     sim.simulation.receive(0, b"".join(map(Speaker(srcComponent=191).frame, messages)))
 
 
-def command(number: int, p1: float, p2: float = 0.0, p7: float = 0.0) -> Any:
-    return mavlink.MAVLink_command_long_message(1, 1, number, 0, p1, p2, 0, 0, 0, 0, p7)
-
-
 def test_the_example_of_the_page_passes_when_it_is_pasted(tmp_path: Path) -> None:
     page = (ROOT / "docs" / "simulator.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
@@ -157,7 +153,7 @@ def test_time_goes_on_as_asked_and_assertions_say_when_and_by_how_much(vehicle_s
     sim.advance(1.0, meanwhile=lambda: calls.append(sim.now_s))
     assert calls == pytest.approx([0.05 + 0.05 * k for k in range(20)])
     for pause_s in (0.5, 0.5, 2.0, 0.5):
-        send(sim, mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3))
+        send(sim, heartbeat())
         sim.advance(pause_s)
     sim.assert_stream_gap(2.0, message="HEARTBEAT")
     with pytest.raises(AssertionError, match=r"2\.00 s without HEARTBEAT from 2\.00 s on"):
@@ -198,7 +194,7 @@ def test_in_lockstep_every_tick_waits_for_the_clients_answer_and_not_for_ever(
 @pytest.mark.parametrize("strict", [True, False])
 def test_what_real_ones_do_not_survive_fails_if_strict(vehicle_sim: Start, strict: bool) -> None:
     sim = vehicle_sim(ready=True, strict=strict)
-    send(sim, command(176, 1, 4), setpoint((NAN, 0.0, -20.0)))
+    send(sim, command_long(176, 1, 4), setpoint((NAN, 0.0, -20.0)))
     with pytest.raises(AssertionError, match="SIM:") if strict else nullcontext():
         sim.advance(1.0)
 
@@ -208,7 +204,8 @@ def test_a_crash_is_seen_however_short_faults_and_parameters_are_set(vehicle_sim
     sim.set_parameter("GUID_TIMEOUT", 1.5)
     with pytest.raises(KeyError):
         sim.set_parameter("GUID_TIMEOUTS", 1.5)
-    send(sim, command(176, 1, 4), command(400, 1), command(22, 0, p7=30))
+    orders = (176, 1, 4), (400, 1), (22, 0, 0, 0, 0, 0, 0, 30)
+    send(sim, *(command_long(*order) for order in orders))
     sim.advance_until(lambda: sim.moment.above_ground_m > 25.0, within_s=30.0)
     sim.assert_not_crashed()
     sim.fault("reboot")  # in the air: it falls

@@ -307,7 +307,7 @@ def fly_look_ahead(row: LookAhead) -> Off:
     # curvature at most swing * 2 pi / wave = lateral / speed^2
     wave_m = swing_rad * math.tau * speed_m_s**2 / row.lateral_m_s2
     route, rig = Sine(swing_rad, wave_m, 6000.0, 1.0), circling(0.0, AIRSPEED_CRUISE=20.0)
-    rig.put_at(0.0, 0.0, 80.0, 0.0, speed_m_s=20.0)
+    rig.put_at(rig.place(0.0, 0.0, 80.0), 20.0 + 0j)
 
     def send(nearest: int) -> None:
         there = route.at[route.ahead(nearest, row.ahead_m)]

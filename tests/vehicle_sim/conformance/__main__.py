@@ -61,9 +61,5 @@ def tables(flown: dict[str, list[Row]]) -> str:
     return "\n".join(lines + reasons)
 
 
-def main() -> None:
-    run(app, "scripts/conformance")
-
-
 if __name__ == "__main__":
-    main()
+    run(app, "scripts/conformance")

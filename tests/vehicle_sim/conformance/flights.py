@@ -1,11 +1,11 @@
 """A recorded flight, what it does not say of itself (flights.toml), and its client flown again."""
 
+import contextlib
 import dataclasses
 import functools
 import lzma
 import math
 import re
-import tomllib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -16,13 +16,12 @@ import numpy as np
 from harness import Heard, Rig
 from numpy.typing import NDArray
 
-from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.errors import InputError
 from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.world import VehicleKind
 
-_HEARTBEAT, _ATTITUDE, _GLOBAL = 0, 30, 33
+_HEARTBEAT, _GLOBAL = 0, 33
 _STAMPED = {30, 32, 33}
 """ATTITUDE, LOCAL_POSITION_NED and GLOBAL_POSITION_INT begin with time_boot_ms."""
 _FIRMWARES: dict[int, Firmware] = {3: "ardupilot", 12: "px4"}
@@ -86,15 +85,11 @@ class Recording:
     system: int
     sent: Sequence[Heard]
     """By the clients: everything that does not come from the autopilot."""
-    said: Sequence[Heard]
-    """By the autopilot."""
+    side: Side
+    """Of the autopilot."""
     begin_s: float
     end_s: float
     clock: Clock
-
-    @functools.cached_property
-    def side(self) -> Side:
-        return Side(self.said)
 
 
 def records(data: bytes) -> Iterator[tuple[int, bytes]]:
@@ -111,13 +106,11 @@ def records(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def read_recording(path: Path) -> Recording:
-    """The flight in this file, a .tlog or .tlog.xz.  InputError if it cannot be read."""
-    try:
-        data = path.read_bytes()
-        data = lzma.decompress(data) if path.suffix == ".xz" else data
-    except (OSError, lzma.LZMAError) as error:
-        rule = f"cannot be read ({getattr(error, 'strerror', error)})"
-        raise InputError("LOG", str(path), rule, "Name a .tlog or .tlog.xz.") from None
+    """The flight in this file, a .tlog or .tlog.xz.  InputError if it is none."""
+    data = path.read_bytes()
+    if path.suffix == ".xz":
+        with contextlib.suppress(lzma.LZMAError):  # then nobody speaks in it
+            data = lzma.decompress(data)
     told = list(records(data))
     raw = [Heard((time_us - told[0][0]) * 1e-6, frame) for time_us, frame in told]
     beats = (one for one in raw if one.number == _HEARTBEAT)
@@ -131,15 +124,13 @@ def read_recording(path: Path) -> Recording:
         if one.number in _STAMPED and one.source == beat.source
     )
     timed = [Heard(clock.vehicle_s(one.at_s), one.frame) for one in raw]
-    said = [one for one in timed if one.source == beat.source]
-    message = beat.message
     return Recording(
         name=path.name.removesuffix(".xz"),
-        firmware=_FIRMWARES[message.autopilot],
-        kind="plane" if message.type == _FIXED_WING else "copter",
+        firmware=_FIRMWARES[beat.message.autopilot],
+        kind="plane" if beat.message.type == _FIXED_WING else "copter",
         system=beat.source[0],
         sent=[one for one in timed if one.source != beat.source],
-        said=said,
+        side=Side(one for one in timed if one.source == beat.source),
         begin_s=timed[0].at_s,
         end_s=timed[-1].at_s,
         clock=clock,
@@ -215,9 +206,9 @@ class Flight(msgspec.Struct, frozen=True, kw_only=True):
 
 @functools.cache
 def _known() -> dict[str, Flight]:
-    text = Path(__file__).with_name("flights.toml").read_text(encoding="utf-8")
-    flights = msgspec.convert(tomllib.loads(text)["flights"], list[Flight])
-    return {flight.recording: flight for flight in flights}
+    data = Path(__file__).with_name("flights.toml").read_bytes()
+    tables = msgspec.toml.decode(data, type=dict[str, list[Flight]])
+    return {flight.recording: flight for flight in tables["flights"]}
 
 
 def flight_of(name: str) -> Flight:
@@ -246,25 +237,14 @@ def play(recording: Recording, flight: Flight) -> list[Heard]:
     waiting = list(reversed(recording.sent))
     while rig.now_s <= recording.end_s:
         if placed_s <= rig.now_s:
-            _place(rig.vehicle, recording, flight, placed_s)
+            *_, now = (message for at_s, message in recording.side.of(_GLOBAL) if at_s <= placed_s)
+            place = (now.lat / 1e7, now.lon / 1e7, flight.home[2] + now.relative_alt / 1e3)
+            rig.put_at(place, complex(now.vx, now.vy) / 1e2)
             placed_s = math.inf
         while waiting and waiting[-1].at_s <= rig.now_s + _INSTANT_S:
             rig.put(waiting.pop().frame)
         rig.step()
     return [each for each in rig.heard if each.link == 0 and each.at_s >= recording.begin_s]
-
-
-def _place(vehicle: Vehicle, recording: Recording, flight: Flight, at_s: float) -> None:
-    """Put the vehicle where the real one was at this vehicle time."""
-    newest = {one.number: one for one in recording.said if one.at_s <= at_s}
-    position, attitude = newest[_GLOBAL].message, newest[_ATTITUDE].message
-    vehicle.latitude_deg, vehicle.longitude_deg = position.lat / 1e7, position.lon / 1e7
-    vehicle.altitude_amsl_m = flight.home[2] + position.relative_alt / 1e3
-    vehicle.velocity_m_s = complex(position.vx / 1e2, position.vy / 1e2)
-    vehicle.velocity_up_m_s = -position.vz / 1e2
-    vehicle.airspeed_m_s = math.hypot(position.vx, position.vy) / 1e2
-    vehicle.heading_rad = math.atan2(position.vy, position.vx) % math.tau
-    vehicle.roll_rad = attitude.roll
 
 
 def rig_of(recording: Recording, flight: Flight) -> Rig:

@@ -9,15 +9,12 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from harness import Heard
 from pymavlink.dialects.v20 import all as mavlink
 
 from conformance.flights import Flight, Reason, Recording, Side
 
 Event = tuple[float, Any]
 """When, and what."""
-Match = tuple[Event | None, Event | None]
-"""Of the real one and of the simulated one."""
 
 MIN_S = 1.1
 """No event has to be nearer than this: a change may be seen with the next heartbeat only."""
@@ -128,8 +125,13 @@ def changes(messages: Iterable[Event], value: Callable[[Any], Any]) -> list[Even
     return [event for k, event in enumerate(told) if not k or told[k - 1][1] != event[1]]
 
 
-def paired(real: Sequence[Event], simulated: Sequence[Event]) -> list[Match]:
-    """Equal events of both sides, the nearest with the nearest; then what is left of each."""
+def paired(
+    real: Sequence[Event], simulated: Sequence[Event]
+) -> list[tuple[Any, float | None, float | None]]:
+    """What, and when on each side: equal events, the nearest with the nearest; then what is left.
+
+    None: not on this side.
+    """
     of_key = defaultdict[Any, list[int]](list)
     for j, (_, key) in enumerate(simulated):
         of_key[key].append(j)
@@ -138,30 +140,27 @@ def paired(real: Sequence[Event], simulated: Sequence[Event]) -> list[Match]:
         for i, (at_s, key) in enumerate(real)
         for j in of_key[key]
     )
-    partner, alone = dict[int, int](), {*range(len(simulated))}
+    partner, alone = dict[int, float](), dict(enumerate(simulated))
     for _, i, j in sorted(each for each in apart_s if each[0] <= WINDOW_S):
         if i not in partner and j in alone:
-            partner[i] = j
-            alone.remove(j)
-    matches: list[Match] = [
-        (event, simulated[partner[i]] if i in partner else None) for i, event in enumerate(real)
+            partner[i], _ = alone.pop(j)
+    return [
+        *((key, at_s, partner.get(i)) for i, (at_s, key) in enumerate(real)),
+        *((key, None, at_s) for at_s, key in alone.values()),
     ]
-    matches += [(None, simulated[j]) for j in sorted(alone)]
-    return sorted(matches, key=lambda match: (match[0] or match[1] or (0.0,))[0])
 
 
 def timed_rows(
-    comparison: Comparison, kind: str, matches: Iterable[Match], interval_s: float = 0.0
+    comparison: Comparison, kind: str, sides: Iterable[Sequence[Event]], seen_s: float = 0.0
 ) -> Iterator[Row]:
-    """A row for each pair: agrees if both are there, at the same time but for the patience.
+    """A row for each event: agrees if it is on both sides, at the same time but for the patience.
 
-    interval_s: how often it can be seen at most.
+    seen_s: how often it can be seen at most.
     """
-    for match in matches:
-        at_s, name = match[0] or match[1] or (0.0, "")
-        real_s, simulated_s = (each and each[0] for each in match)
-        difference = apart(real_s, simulated_s, comparison.patience_s(at_s, interval_s))
-        shown = [f"{each[0]:.2f} s" if each else NOTHING for each in match]
+    for name, real_s, simulated_s in paired(*sides):
+        at_s = real_s if real_s is not None else simulated_s or 0.0
+        difference = apart(real_s, simulated_s, comparison.patience_s(at_s, seen_s))
+        shown = [NOTHING if t is None else f"{t:.2f} s" for t in (real_s, simulated_s)]
         yield Row(kind, name, shown, difference, at_s)
 
 
@@ -264,15 +263,9 @@ def once_rows(comparison: Comparison) -> Iterator[Row]:
 
 _SLOWEST_S = 2.1
 _MODES = {("ardupilot", "copter"): "COPTER_MODE", ("ardupilot", "plane"): "PLANE_MODE"}
-_EXCHANGES = {
-    39: "seq {0.seq}, command {0.command}, mission_type {0.mission_type}",
-    40: "seq {0.seq}, mission_type {0.mission_type}",
-    44: "count {0.count}, mission_type {0.mission_type}",
-    47: "type {0.type}, mission_type {0.mission_type}",
-    51: "seq {0.seq}, mission_type {0.mission_type}",
-    73: "seq {0.seq}, command {0.command}, mission_type {0.mission_type}",
-}
-"""Mission protocol: of each message what was said."""
+_EXCHANGES = (39, 40, 44, 47, 51, 73)
+_EXCHANGED = ("seq", "command", "count", "type", "mission_type")
+"""Mission protocol: messages, and of each what there is of these."""
 _ECHO = "coordinate_frame {0.coordinate_frame}, type_mask {0.type_mask:#x}"
 _VEHICLE = "type {0.type}, autopilot {0.autopilot}, mavlink {0.mavlink_version}"
 Told = Callable[[Any], str]
@@ -280,6 +273,11 @@ Told = Callable[[Any], str]
 
 def _enum(enum: str, name: str) -> Told:
     return lambda m: enum_name(enum, getattr(m, name))
+
+
+def _exchanged(message: Any) -> str:
+    said = (name for name in _EXCHANGED if name in message.fieldnames)
+    return ", ".join(f"{name} {getattr(message, name)}" for name in said)
 
 
 def state_rows(comparison: Comparison) -> Iterator[Row]:
@@ -307,12 +305,12 @@ def state_rows(comparison: Comparison) -> Iterator[Row]:
         ("echo", 87, _ECHO.format),
     )
     for kind, number, told in states:
-        matches = paired(*(changes(side.of(number), told) for side in comparison.sides))
+        changed = (changes(side.of(number), told) for side in comparison.sides)
         seen_s = interval_s([one.at_s for one in comparison.real.heard(number)])
-        yield from timed_rows(comparison, kind, matches, min(seen_s, _SLOWEST_S))
-    for number, told_of in _EXCHANGES.items():
-        said = ([(t, told_of.format(m)) for t, m in side.of(number)] for side in comparison.sides)
-        yield from timed_rows(comparison, "exchange", paired(*said))
+        yield from timed_rows(comparison, kind, changed, min(seen_s, _SLOWEST_S))
+    for number in _EXCHANGES:
+        said = ([(t, _exchanged(m)) for t, m in side.of(number)] for side in comparison.sides)
+        yield from timed_rows(comparison, "exchange", said)
 
 
 # --- streams: which messages, how many, from when, how long silent, and how filled ----------------
@@ -325,7 +323,7 @@ FIRST_S, SILENCE_S = 1.1, 0.5
 _STREAM = 20
 """A message said less often than this is no stream."""
 _SAMPLES, _VARYING = 400, 5
-"""Of a message at most; a field with at least so many values is one that varies."""
+"""Of a message at most, evenly spread; a field with at least so many values is one that varies."""
 _READ = {0, 1, 2, 24, 30, 31, 32, 33, 42, 46, 49, 62, 74, 77, 85, 87, 111, 132, 141, 147, 148}
 _READ |= {162, 168, 173, 193, 230, 231, 242, 245, 331, 436}
 """Messages that a companion, an SDK or a ground station flies by."""
@@ -363,18 +361,15 @@ def stream_rows(comparison: Comparison) -> Iterator[Row]:
             shown = [f"{each:.2f} s" for each in seconds]
             yield Row(kind, name, shown, apart(*seconds, within_s), at_s)
         if number not in _BY_OTHER_ROWS:
-            yield _filling_row(name, *(_sample(side.heard(number)) for side in comparison.sides))
+            heard = (side.heard(number) for side in comparison.sides)
+            samples = ([one.message for one in h[:: -(-len(h) // _SAMPLES)]] for h in heard)
+            yield _filling_row(name, *samples)
 
 
 def _longest_gap(times: Sequence[float]) -> tuple[float, float]:
     """Its length, and when it began."""
     gaps = ((after - before, before) for before, after in itertools.pairwise(times))
     return max(gaps, default=(0.0, times[0]))
-
-
-def _sample(said: Sequence[Heard]) -> list[Any]:
-    """At most _SAMPLES messages, evenly spread."""
-    return [one.message for one in said[:: max(1, -(-len(said) // _SAMPLES))]]
 
 
 def _filling_row(name: str, real: Sequence[Any], simulated: Sequence[Any]) -> Row:
@@ -404,6 +399,5 @@ def _values(messages: Sequence[Any], field: str) -> list[Any]:
 
 def _same(one: Any, other: Any) -> bool:
     """Constants are equal to 0.1 %."""
-    if isinstance(one, str) or isinstance(other, str):
-        return bool(one == other)
-    return math.isclose(one, other, rel_tol=1e-3, abs_tol=1e-6)
+    are_numbers = not (isinstance(one, str) or isinstance(other, str))
+    return one == other or (are_numbers and math.isclose(one, other, rel_tol=1e-3, abs_tol=1e-6))

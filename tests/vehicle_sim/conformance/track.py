@@ -65,8 +65,8 @@ _NEARNESS = {
 def phases_of(comparison: Comparison) -> Callable[[float], str]:
     """The phase at any vehicle time of a recorded flight."""
     real, recording = comparison.real, comparison.recording
-    landed = changes(real.of(245), lambda m: m.landed_state)
-    modes = changes(real.of(0), lambda m: m.custom_mode)
+    landed = changes(real.of(245), attrgetter("landed_state"))
+    modes = changes(real.of(0), attrgetter("custom_mode"))
     vehicle = f"{recording.firmware} {recording.kind}"
     landing_modes = _LANDING_MODES.get(vehicle, _PX4_LANDING_MODES)
     blind = list(_blind_times(comparison))
@@ -233,7 +233,7 @@ def _apart(
         yield apart[-2:][0] if kind == "track" else apart[len(apart) // 2]
 
 
-def _beside(said: Sequence[Heard]) -> Callable[[float], Any]:
+def _beside(said: Sequence[Heard], within_s: float = _BESIDE_S) -> Callable[[float], Any]:
     """The message nearest to a time; None if there is none beside it."""
     times = [one.at_s for one in said]
 
@@ -241,7 +241,7 @@ def _beside(said: Sequence[Heard]) -> Callable[[float], Any]:
         place = bisect.bisect_left(times, time_s)
         near = said[max(place - 1, 0) : place + 1]
         best = min(near, key=lambda one: abs(one.at_s - time_s), default=None)
-        return best.message if best and abs(best.at_s - time_s) <= _BESIDE_S else None
+        return best.message if best and abs(best.at_s - time_s) <= within_s else None
 
     return at
 
@@ -255,18 +255,13 @@ _CHARGE = (0.5, 8.0, 10.0)
 def battery_rows(comparison: Comparison) -> Iterator[Row]:
     """Voltage and charge near the beginning, in the middle and before the end of the flight."""
     begin_s, end_s = comparison.recording.begin_s, comparison.recording.end_s
+    nearest = [_beside(side.heard(_BATTERY), within_s=math.inf) for side in comparison.sides]
     for name, part in (("begin", 0.1), ("middle", 0.5), ("end", 0.9)):
         at_s = begin_s + part * (end_s - begin_s)
-        told = [_charge(side.of(_BATTERY), at_s) for side in comparison.sides]
+        told = [
+            m and (m.voltages[0] / 1e3, m.battery_remaining, m.current_battery / 1e2)
+            for m in (at(at_s) for at in nearest)
+        ]
         if told[0] is not None:
-            shown = [f"{e[0]:.2f} V, {e[1]} %, {e[2]:.1f} A" if e else NOTHING for e in told]
+            shown = ["{:.2f} V, {} %, {:.1f} A".format(*each) if each else NOTHING for each in told]
             yield Row("battery", name, shown, apart(told[0], told[1], _CHARGE), at_s)
-
-
-def _charge(said: Sequence[tuple[float, Any]], at_s: float) -> tuple[float, float, float] | None:
-    """What is told nearest to this time."""
-    if not said:
-        return None
-    _, message = min(said, key=lambda each: abs(each[0] - at_s))
-    volts, amperes = message.voltages[0] / 1e3, message.current_battery / 1e2
-    return volts, message.battery_remaining, amperes
