@@ -126,6 +126,12 @@ def broken_off(state: State, reason: Reason, turn: Turn) -> None:
         return taken(state, turn)
     hold_for(state, reason)
     if reason.asks_to_hold:
+        _ask_to_hold(state, turn)
+
+
+def _ask_to_hold(state: State, turn: Turn) -> None:
+    """At once, unless it holds already: asked anew, PX4 holds where it believes to be by now."""
+    if state.vehicle.mode is not Mode.HOLD:
         turn.ask(hold_by_itself(state))
 
 
@@ -212,7 +218,7 @@ def _take_again(state: State, event: Event, turn: Turn, *, given_back: bool = Tr
     if given_back and _is_elsewhere(state):  # the previous reason is over
         come_to_rest(state)
         turn.hold(Reason.POSITION_ELSEWHERE)
-        turn.ask(hold_by_itself(state))
+        _ask_to_hold(state, turn)
         state.taken = False
     elif not _is_trusted(state):
         come_to_rest(state)
